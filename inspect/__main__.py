@@ -23,6 +23,8 @@ def main() -> NoReturn:
     gc.set_threshold(COLLECTED_AFTER, 10, 10)
     atexit.register(gc.freeze)  # nothing is looked through for cycles when all of it goes
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", SPINNING_CYCLES)
+    # pydantic would read the metadata of every installed package to look for plug-ins of its own
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     if sys.argv[1:3] == ["rig", "stop"] and not {"--help", "-h", "--driver"} & set(sys.argv):
         _stop_at_once(sys.argv[3:])
     from anisoscope.cli import main as command_line  # noqa: PLC0415 - start-up time

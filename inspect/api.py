@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from anisoscope.inspection.reflectance_scan import resume_scan
     from anisoscope.inspection.run import Inspected
     from anisoscope.inspection.run import resume_part as resume
-    from anisoscope.kinds.registry import read_any_recipe as read_recipe
+    from anisoscope.kinds.recipes import read_any_recipe as read_recipe
     from anisoscope.live_view.autofocus import Autofocus
     from anisoscope.operations.archiving import archived_inspections, pull, push, retain
     from anisoscope.operations.archiving import hold as hold_archived

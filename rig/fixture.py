@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 class Marker(BaseModel):
     """One marker: its number in the dictionary, and its centre in mm in the sample frame."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     id: Annotated[int, Field(ge=0)]
     x_mm: float
@@ -19,7 +19,7 @@ class Marker(BaseModel):
 class Grey(BaseModel):
     """A printed square of one grey: its centre in mm in the sample frame, and its side."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     x_mm: float
     y_mm: float
@@ -41,7 +41,7 @@ class Fixture(BaseModel):
             the "edges" of what lies under the camera.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     dictionary: Annotated[str, Field(pattern=r"^DICT_[A-Z0-9_h]+$")] = "DICT_4X4_50"
     marker_mm: Annotated[float, Field(gt=0.0)]

@@ -19,7 +19,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import tifffile
 from pydantic import Field, TypeAdapter, ValidationError
 
 from anisoscope.base.atomic_write import appearing
@@ -204,6 +203,8 @@ def write_frame(frame: Frame, path: Path, compression: Compression = "none") -> 
         RecordError: the folder cannot be written to.
     """
     header = {"anisoscope_frame": SCHEMA} | {name: getattr(frame, name) for name in _NAMES}
+    import tifffile  # noqa: PLC0415 - slow to import
+
     packing = _packing(frame, compression)
     with appearing(path) as file:
         tifffile.imwrite(file, frame.counts, description=json.dumps(header), metadata=None, **packing)
@@ -258,6 +259,8 @@ def header_of(file: Path | bytes) -> Header | None:
     Args:
         file: the file, or its bytes.
     """
+    import tifffile  # noqa: PLC0415
+
     try:
         source = io.BytesIO(file) if isinstance(file, bytes) else file
         with quiet_tifffile(), tifffile.TiffFile(source) as tiff:
@@ -276,6 +279,8 @@ def filters_in_header(file: Path | bytes) -> str | None:
 
 
 def _picture_and_words(content: bytes, path: Path) -> tuple[npt.NDArray[np.uint16], str]:
+    import tifffile  # noqa: PLC0415
+
     try:
         with quiet_tifffile(), tifffile.TiffFile(io.BytesIO(content)) as tiff:
             page = tiff.pages[0]

@@ -161,7 +161,7 @@ class Accounts:
 
     def check(self, name: str, password: str) -> Account | None:
         """The account, if the password is right; an unknown name takes as long as a wrong password."""
-        from argon2.exceptions import InvalidHashError, VerificationError  # noqa: PLC0415 - of the extra
+        from argon2.exceptions import InvalidHashError, VerificationError
 
         found = self.read().get(name)
         try:
@@ -178,7 +178,7 @@ def _hash_of(password: str) -> str:
 
 
 def _hasher() -> Any:  # noqa: ANN401 - of the extra
-    from argon2 import PasswordHasher  # noqa: PLC0415 - of the extra
+    from argon2 import PasswordHasher
 
     return PasswordHasher()
 

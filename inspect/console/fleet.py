@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from functools import partial
+from functools import cached_property, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -28,20 +28,14 @@ from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.base.language import decimal, language, message, translated
 from anisoscope.base.notation import number_name, number_text, true_minus
-from anisoscope.console import heat_maps
 from anisoscope.console.access import Access, Needs, Session
 from anisoscope.console.pages import drawn, render, report_at
 from anisoscope.console.trail import Trail
 from anisoscope.history.address import parse_address
-from anisoscope.history.columns import us_to_datetime
-from anisoscope.history.comparing import record_of
 from anisoscope.history.dispositions import DECISIONS, MAX_COMMENT, Decision, Disposition, checked_disposition
-from anisoscope.history.export import csv_lines, json_lines
 from anisoscope.history.filters import MOST_IDS, Filters, parse_moment
-from anisoscope.history.overview import Facts, IntArray, Overview
 from anisoscope.history.rows import MAX_TEXT, Row
 from anisoscope.history.signs import Sign, State, read_signs
-from anisoscope.history.store import History, open_history
 from anisoscope.inspection.report_seal import report_state
 from anisoscope.quality.capability import charted, specification
 from anisoscope.quality.control import ControlStudy, Settings, control_study
@@ -52,8 +46,11 @@ from anisoscope.record.schema import REPORT_NAME
 from anisoscope.record.verdict import Verdict
 from anisoscope.study.statistics import Rate, rate
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what reads histories is slow to import: the station's page does not wait for it
     from markupsafe import Markup
+
+    from anisoscope.history.overview import Facts, IntArray, Overview
+    from anisoscope.history.store import History
 
 
 A_PAGE, A_PORTION = 50, 500
@@ -142,7 +139,7 @@ def fleet_router(
     """
     router = APIRouter()
     get = partial(router.get, include_in_schema=False)
-    fleet = _Fleet(history, now, Overview(), _Views(clock))
+    fleet = _Fleet(history, now, _Views(clock))
 
     @router.get("/api/v1/stations", summary="Stations of the history: what each does, and since when")
     def stations(_: Looks) -> list[StationNow]:
@@ -239,26 +236,34 @@ class _Views:
             return known[1:]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Fleet:
     """Views of a history."""
 
     place: str | Path | None
     now: Callable[[], datetime]
-    overview: Overview
     views: _Views
 
+    @cached_property
+    def overview(self) -> "Overview":
+        """The facts of the history, read at the first question."""
+        from anisoscope.history.overview import Overview
+
+        return Overview()
+
     @contextmanager
-    def history(self) -> Iterator[History | None]:
+    def history(self) -> "Iterator[History | None]":
         """The history; None where there is none yet."""
         path = None if self.place is None else parse_address(self.place).path
         if self.place is None or (path is not None and not path.exists()):
             yield None
             return
+        from anisoscope.history.store import open_history
+
         with open_history(self.place, create=False) as found:
             yield found
 
-    def selected(self, history: History | None, asked: Asked) -> tuple[Facts, IntArray]:
+    def selected(self, history: "History | None", asked: Asked) -> "tuple[Facts, IntArray]":
         """All facts, and the places of what is wanted, the oldest first."""
         facts, filters = self.overview.facts(history), asked.filters(self.now())
         chosen = facts.matching(filters, asked.cause)
@@ -335,6 +340,8 @@ class _Fleet:
 
     def maps(self, asked: Asked) -> dict[str, Any]:
         """Maps of the deviations of the latest ones, by product and cavity."""
+        from anisoscope.console import heat_maps
+
         with self.history() as history:
             facts, places = self.selected(history, asked)
             ids = _ids(facts, places[-heat_maps.MAPPED :])
@@ -349,6 +356,8 @@ class _Fleet:
         Raises:
             HTTPException: there is no history.
         """
+        from anisoscope.history.export import csv_lines, json_lines
+
         with self.history() as history:
             if history is None:
                 raise HTTPException(404, "there is no history yet")
@@ -398,15 +407,15 @@ class _Fleet:
             return history.dispose(number, reviewer=who, decision=what, comment=why)
 
 
-def _ids(facts: Facts, places: IntArray) -> tuple[int, ...]:
+def _ids(facts: "Facts", places: "IntArray") -> tuple[int, ...]:
     return tuple(facts.ids[places].tolist())
 
 
-def _portions(facts: Facts, places: IntArray, size: int) -> list[tuple[int, ...]]:
+def _portions(facts: "Facts", places: "IntArray", size: int) -> list[tuple[int, ...]]:
     return [_ids(facts, places[start : start + size]) for start in range(0, len(places), size)]
 
 
-def _choices(facts: Facts) -> dict[str, list[str]]:
+def _choices(facts: "Facts") -> dict[str, list[str]]:
     """Words to choose from, the most frequent ones; of lots the latest."""
     every = np.ones(len(facts), dtype=np.bool_)
     found = {
@@ -463,9 +472,11 @@ class Station:
 
 
 def _stations(
-    facts: Facts, places: IntArray, signs: Sequence[Sign], now: datetime, only: str | None = None
+    facts: "Facts", places: "IntArray", signs: Sequence[Sign], now: datetime, only: str | None = None
 ) -> list[Station]:
     """The stations of some inspections, that with the last inspection first, and those that give signs."""
+    from anisoscope.history.columns import us_to_datetime
+
     codes = facts.codes["station"][places]
     order = np.argsort(codes, kind="stable")
     words, verdicts = facts.words["station"], facts.words["verdict"]
@@ -498,7 +509,7 @@ def _present(name: str, sign: Sign | None, last: datetime | None) -> StationNow 
     return StationNow(station=name, state=state, since=since, words=sign.words if state in SAYING else "")
 
 
-def _yield(facts: Facts, places: IntArray) -> Rate:
+def _yield(facts: "Facts", places: "IntArray") -> Rate:
     """Share of PASS in all that could be judged: INVALID says nothing about the part."""
     words = np.array(facts.words["verdict"])[facts.codes["verdict"][places]]
     return rate(words[words != "INVALID"] == "PASS")
@@ -689,6 +700,8 @@ def _report(row: Row) -> tuple[Path | None, str]:
     A report is served if its folder is on this computer, holds the record that the history knows by its seal, and the
     report is what that record's inspection wrote: no row can name another file of this computer.
     """
+    from anisoscope.history.comparing import record_of
+
     folder = Path(row.folder)
     try:
         if not folder.is_dir():

@@ -295,7 +295,7 @@ class Guided:
 
 def described(rig: Path) -> list[dict[str, Any]]:
     """All guides that a rig has the axes for, for their forms."""
-    from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
+    from anisoscope.rig.rigfile import read_rig
 
     focuses = read_rig(rig).z is not None
     return [
@@ -325,7 +325,7 @@ def described(rig: Path) -> list[dict[str, Any]]:
 
 def _calibration_file(rig: Path, kind: str, name: str) -> tuple[Path, list[str]]:
     """The file that a rig names for a calibration, or one next to it, and what is to be said then."""
-    from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
+    from anisoscope.rig.rigfile import read_rig
 
     part = read_rig(rig).calibration
     named: Path | None = None if part is None else getattr(part, kind)
@@ -347,7 +347,7 @@ def _calibrated(record: "CalibrationRecord", notes: Sequence[str]) -> Outcome:
 
 def take_flat(place: Workplace, advance: Advance, *, taking: Any, reflectance: float) -> Outcome:  # noqa: ANN401
     """White reference, as `anisoscope calibrate flat`."""
-    from anisoscope.calibration.pictures import calibrate_flat  # noqa: PLC0415
+    from anisoscope.calibration.pictures import calibrate_flat
 
     path, notes = _calibration_file(place.rig, "flat", "flat.tif")
     _, record = calibrate_flat(place.rig, path, taking, reflectance=reflectance, on_progress=advance)
@@ -356,7 +356,7 @@ def take_flat(place: Workplace, advance: Advance, *, taking: Any, reflectance: f
 
 def take_dark(place: Workplace, advance: Advance, *, taking: Any) -> Outcome:  # noqa: ANN401
     """Dark frames, as `anisoscope calibrate dark`."""
-    from anisoscope.calibration.pictures import calibrate_dark  # noqa: PLC0415
+    from anisoscope.calibration.pictures import calibrate_dark
 
     path, notes = _calibration_file(place.rig, "dark", "dark.json")
     return _calibrated(calibrate_dark(place.rig, path, taking, on_progress=advance), notes)
@@ -364,7 +364,7 @@ def take_dark(place: Workplace, advance: Advance, *, taking: Any) -> Outcome:  #
 
 def find_rotation(place: Workplace, advance: Advance, *, taking: Any) -> Outcome:  # noqa: ANN401
     """Rotation centre, as `anisoscope calibrate rotation`."""
-    from anisoscope.calibration.rotation import calibrate_rotation  # noqa: PLC0415
+    from anisoscope.calibration.rotation import calibrate_rotation
 
     path, notes = _calibration_file(place.rig, "rotation", "rotation.json")
     return _calibrated(calibrate_rotation(place.rig, path, taking, on_progress=advance), notes)
@@ -389,11 +389,11 @@ def teach_fixture(
         write: name the reference in the rig file.
         needed: a rig without markers or flat is an error; else a note.
     """
-    from anisoscope.calibration.fixture import calibrate_fixture  # noqa: PLC0415
-    from anisoscope.commissioning.commissioning import teach_fixture as taught  # noqa: PLC0415
-    from anisoscope.commissioning.commissioning import tilts_of  # noqa: PLC0415
-    from anisoscope.kinds.registry import read_any_recipe  # noqa: PLC0415
-    from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
+    from anisoscope.calibration.fixture import calibrate_fixture
+    from anisoscope.commissioning.commissioning import teach_fixture as taught
+    from anisoscope.commissioning.commissioning import tilts_of
+    from anisoscope.kinds.recipes import read_any_recipe
+    from anisoscope.rig.rigfile import read_rig
 
     file = read_rig(place.rig, channel=taking.light_channel)
     if not needed and (file.fixture is None or file.calibration is None):
@@ -409,11 +409,11 @@ def teach_fixture(
 
 def commission_rig(place: Workplace, advance: Advance, *, recipe: Path, entry: RecipeEntry) -> Outcome:
     """Geometry of the rig, as `anisoscope rig commission`."""
-    from anisoscope.commissioning.commissioning import commission, part_of_recipe  # noqa: PLC0415
-    from anisoscope.commissioning.record import default_record_path, write_commissioning  # noqa: PLC0415
-    from anisoscope.commissioning.series import Series  # noqa: PLC0415
-    from anisoscope.kinds.registry import read_recipe  # noqa: PLC0415
-    from anisoscope.report.commission_page import finding_row  # noqa: PLC0415
+    from anisoscope.commissioning.commissioning import commission, part_of_recipe
+    from anisoscope.commissioning.record import default_record_path, write_commissioning
+    from anisoscope.commissioning.series import Series
+    from anisoscope.kinds.registry import read_recipe
+    from anisoscope.report.commission_page import finding_row
 
     part = part_of_recipe(read_recipe(recipe), None, 0.1)
     series = Series(entry.exposure_s, entry.gain, light_channel=entry.channel)
@@ -428,8 +428,8 @@ def commission_rig(place: Workplace, advance: Advance, *, recipe: Path, entry: R
 
 def write_findings(place: Workplace, advance: Advance) -> Outcome:
     """Write the findings of commissioning into the rig file, as `anisoscope rig commission --write`."""
-    from anisoscope.commissioning.commissioning import write_to_rig_file  # noqa: PLC0415
-    from anisoscope.commissioning.record import default_record_path, read_commissioning  # noqa: PLC0415
+    from anisoscope.commissioning.commissioning import write_to_rig_file
+    from anisoscope.commissioning.record import default_record_path, read_commissioning
 
     del advance
     written = write_to_rig_file(place.rig, read_commissioning(default_record_path(place.rig)))
@@ -443,7 +443,7 @@ def write_findings(place: Workplace, advance: Advance) -> Outcome:
 
 def add_golden_parts(place: Workplace, advance: Advance, *, recipe: Path, folders: Sequence[str]) -> Outcome:
     """Inspected parts to the golden parts, as `anisoscope golden add`."""
-    from anisoscope.kinds.registry import add_golden  # noqa: PLC0415
+    from anisoscope.kinds.registry import add_golden
 
     del advance
     known, failed, _ = add_golden(recipe, [place.out / name for name in folders])
@@ -474,13 +474,13 @@ def judge_gauge(
         number: which number; None takes the first.
         tolerance: width between the limits of good parts.
     """
-    from datetime import UTC  # noqa: PLC0415
+    from datetime import UTC
 
-    from anisoscope.history.rows import row_of  # noqa: PLC0415
-    from anisoscope.quality.gauge import gauge_data, gauge_study  # noqa: PLC0415
-    from anisoscope.quality.readings import Readings  # noqa: PLC0415
-    from anisoscope.record.schema import read_record  # noqa: PLC0415
-    from anisoscope.report.msa_page import components  # noqa: PLC0415
+    from anisoscope.history.rows import row_of
+    from anisoscope.quality.gauge import gauge_data, gauge_study
+    from anisoscope.quality.readings import Readings
+    from anisoscope.record.schema import read_record
+    from anisoscope.report.msa_page import components
 
     found = []
     for done, (_, _, folder) in enumerate(runs):
@@ -496,7 +496,7 @@ def judge_gauge(
 
 def scan_material(place: Workplace, advance: Advance, *, recipe: Path, name: str, who: str) -> Outcome:
     """Material of a flat piece, as `anisoscope calibrate material --coupon`."""
-    from anisoscope.inspection.material_calibration import (  # noqa: PLC0415
+    from anisoscope.inspection.material_calibration import (
         calibrate_material,
         scan_setup,
         scan_specimen,
@@ -515,9 +515,9 @@ def scan_material(place: Workplace, advance: Advance, *, recipe: Path, name: str
 
 def find_focus(place: Workplace, advance: Advance, *, entry: RecipeEntry, low: float, high: float) -> Outcome:
     """Focus by the axis z, as `anisoscope rig focus`; the axis stays there."""
-    from anisoscope.live_view.autofocus import Autofocus  # noqa: PLC0415
-    from anisoscope.rig.acquisition.opening import open_devices  # noqa: PLC0415
-    from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415
+    from anisoscope.live_view.autofocus import Autofocus
+    from anisoscope.rig.acquisition.opening import open_devices
+    from anisoscope.rig.rigfile import read_rig
 
     file = read_rig(place.rig, channel=entry.channel)
     if file.z is None:
@@ -550,7 +550,7 @@ def find_focus(place: Workplace, advance: Advance, *, entry: RecipeEntry, low: f
 
 
 def _taking(asked: Entered, frames: int) -> Any:  # noqa: ANN401
-    from anisoscope.parameters.taking import Taking  # noqa: PLC0415
+    from anisoscope.parameters.taking import Taking
 
     entry = asked.entry
     return Taking(entry.exposure_s, entry.gain, frames, operator=asked.who, light_channel=entry.channel)
@@ -611,7 +611,7 @@ def _commissioning(asked: Entered, _: GuideState) -> list[Step]:
 
 
 def _golden(asked: Entered, state: GuideState) -> list[Step]:
-    from anisoscope.inspection.job import check_serial  # noqa: PLC0415 - start-up time, as below
+    from anisoscope.inspection.job import check_serial
 
     parts = [
         Step(message("Place the good part {serial} on the stage.", serial=one), serial=check_serial(one))
@@ -622,7 +622,7 @@ def _golden(asked: Entered, state: GuideState) -> list[Step]:
 
 
 def _gauge(asked: Entered, state: GuideState) -> list[Step]:
-    from anisoscope.inspection.job import check_serial  # noqa: PLC0415
+    from anisoscope.inspection.job import check_serial
 
     parts, appraisers = asked.names("parts", 2), asked.names("appraisers", 1)
     trials, order = round(asked.number("trials")), random.Random(state.seed)  # noqa: S311 - an order, no secret

@@ -77,9 +77,9 @@ def heat_maps(rows: Sequence[Row]) -> tuple[list[HeatMap], list[str]]:
 
 def _deviations(row: Row) -> "tuple[CellMap, float] | str":
     """Map of the cells of an inspection and their side in mm, or where it is."""
-    from anisoscope.inspection.kept_measurement import read_kept  # noqa: PLC0415 - start-up time, as below
-    from anisoscope.kinds.parts import Redeciding  # noqa: PLC0415
-    from anisoscope.kinds.registry import kind_named  # noqa: PLC0415
+    from anisoscope.inspection.kept_measurement import read_kept
+    from anisoscope.kinds.parts import Redeciding
+    from anisoscope.kinds.registry import kind_named
 
     folder = Path(row.folder)
     if not folder.is_dir():
@@ -132,7 +132,7 @@ RED, BLUE = np.array([0xA0, 0x10, 0x20]), np.array([0x10, 0x40, 0xA0])
 
 def _picture(values: FloatArray) -> str:
     """A picture of values from -1, blue, by 0, white, to 1, red, a pixel each."""
-    import cv2  # noqa: PLC0415 - start-up time
+    import cv2
 
     dark = np.where(values[..., None] < 0.0, BLUE, RED)
     rgb = 255.0 + np.abs(values)[..., None] * (dark - 255.0)

@@ -118,12 +118,12 @@ class EventLog:
 
 @dataclass(frozen=True)
 class Eyes:
-    """Camera and light of the live picture; the light's channel where none is named; lamps of the rig."""
+    """Camera and light of the live picture, its channel where none is named, and how to get the lamps of the rig."""
 
     camera: SharedCamera
     light: Light | None
     channel: str | None = None
-    lamps: "RigLamps | None" = None
+    lamps: "Callable[[], RigLamps] | None" = None
 
 
 class Live:
@@ -143,7 +143,7 @@ class Live:
         gap_s: float = LEAST_GAP_S,
         measure: "FocusMeasure" = "tenengrad",
     ) -> None:
-        from anisoscope.live_view.view import Meter  # noqa: PLC0415 - loads OpenCV
+        from anisoscope.live_view.view import Meter
 
         self._eyes, self._clock, self._gap_s = eyes, clock, gap_s
         self._measure: FocusMeasure = measure
@@ -168,8 +168,8 @@ class Live:
         Raises:
             RigError: there is no camera, or the rig is at work.
         """
-        from anisoscope.live_view.picture import as_jpeg, draw  # noqa: PLC0415
-        from anisoscope.live_view.view import look_at  # noqa: PLC0415
+        from anisoscope.live_view.picture import as_jpeg, draw
+        from anisoscope.live_view.view import look_at
 
         with self._lock:
             if self._paused:
@@ -189,7 +189,7 @@ class Live:
                 self._lit = True
             counts, info = self._eyes.camera.grab(exposure_s, gain), self._eyes.camera.info
             now_s, lamps = self._clock(), self._eyes.lamps
-            read = () if lamps is None else lamps.read(counts, info, (exposure_s, gain), now_s, asked[2])
+            read = () if lamps is None else lamps().read(counts, info, (exposure_s, gain), now_s, asked[2])
             reading = self._meter.read(look_at(counts, info, focus=self._measure), now_s, read)
             view, before = reading.view, None if self._newest is None else self._newest[3]["focus"]
             numbers = as_json(reading) | {
@@ -206,7 +206,7 @@ class Live:
     def _new_sequence(self) -> None:
         self._meter, self._newest = self._new_meter(), None
         if self._eyes is not None and self._eyes.lamps is not None:
-            self._eyes.lamps.forget()
+            self._eyes.lamps().forget()
 
     def _lamp_off_later(self) -> None:
         if self._off is not None:

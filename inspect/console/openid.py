@@ -107,9 +107,9 @@ class OpenId:
     """
 
     def __init__(self, provider: Provider, clock: Clock = SYSTEM) -> None:
-        from authlib.integrations import requests_client  # noqa: PLC0415 - of the extra
-        from joserfc.errors import JoseError  # noqa: PLC0415
-        from urllib3.exceptions import HTTPError  # noqa: PLC0415
+        from authlib.integrations import requests_client
+        from joserfc.errors import JoseError
+        from urllib3.exceptions import HTTPError
 
         self.provider, self._clock = provider, clock
         self.host = urlsplit(provider.issuer).netloc
@@ -231,7 +231,7 @@ class OpenId:
         return found
 
     def _token(self, session: Any, address: str, code: str, verifier: str) -> dict[str, Any]:  # noqa: ANN401
-        from authlib.integrations.base_client import OAuthError  # noqa: PLC0415
+        from authlib.integrations.base_client import OAuthError
 
         try:
             return dict(session.fetch_token(address, code=code, code_verifier=verifier, timeout=ANSWER_S))
@@ -247,9 +247,9 @@ class OpenId:
 
     def _claims(self, token: Mapping[str, Any], keys: Mapping[str, Any], nonce: str) -> Mapping[str, Any]:
         """The claims of a token whose signature, issuer, audience, nonce and time are right."""
-        from authlib.oidc.core import CodeIDToken  # noqa: PLC0415
-        from joserfc import jwt  # noqa: PLC0415
-        from joserfc.jwk import KeySet, KeySetSerialization  # noqa: PLC0415
+        from authlib.oidc.core import CodeIDToken
+        from joserfc import jwt
+        from joserfc.jwk import KeySet, KeySetSerialization
 
         provider = self.provider
         try:
@@ -308,8 +308,8 @@ class OpenId:
 
 def _bounded() -> Any:  # noqa: ANN401 - of the extra
     """Sends requests as usual, and takes answers of a limited size within a time for the whole."""
-    from requests import RequestException  # noqa: PLC0415
-    from requests.adapters import HTTPAdapter  # noqa: PLC0415
+    from requests import RequestException
+    from requests.adapters import HTTPAdapter
 
     class Bounded(HTTPAdapter):
         def send(self, *args: Any, **options: Any) -> Any:  # noqa: ANN401 - as requests has it

@@ -60,14 +60,14 @@ def render(request: Request, template: str, **content: object) -> HTMLResponse:
 
 def drawn(template: str, **content: object) -> "markupsafe.Markup":
     """A part of a page that is the same in every session."""
-    import markupsafe  # noqa: PLC0415 - with Jinja2
+    import markupsafe
 
     return markupsafe.Markup(_environment().get_template(template).render(**content))  # noqa: S704 - escaped there
 
 
 @cache
 def _environment() -> "jinja2.Environment":
-    import jinja2  # noqa: PLC0415 - drawn once a page is asked for
+    import jinja2
 
     found = jinja2.Environment(
         loader=jinja2.PackageLoader("anisoscope.console"),

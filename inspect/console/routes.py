@@ -175,7 +175,7 @@ def _picture(live: Live, taken: tuple[float, float, str | None], **more: str) ->
 
 
 def _lamp_words(shown: dict[str, Any]) -> str:
-    from anisoscope.live_view.lamps import Lamp, in_words  # noqa: PLC0415 - loads OpenCV
+    from anisoscope.live_view.lamps import Lamp, in_words
 
     lamp = Lamp(**shown)
     return f"{translated(lamp.name)}: {in_words(lamp)}"
@@ -286,10 +286,10 @@ def live_router(live: Live, exposure_s: float, gain: float, jogger: Jogger | Non
 
 def past(history: str | Path | None, serial: str | None, limit: int) -> Any:  # noqa: ANN401 - rows as JSON
     """Past inspections with what was decided about them, the oldest first; none without a history."""
-    from anisoscope.history.address import parse_address  # noqa: PLC0415 - loads SQLAlchemy
-    from anisoscope.history.export import with_dispositions  # noqa: PLC0415
-    from anisoscope.history.filters import Filters  # noqa: PLC0415
-    from anisoscope.history.store import open_history  # noqa: PLC0415
+    from anisoscope.history.address import parse_address
+    from anisoscope.history.export import with_dispositions
+    from anisoscope.history.filters import Filters
+    from anisoscope.history.store import open_history
 
     if history is None:
         return []

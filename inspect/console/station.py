@@ -270,7 +270,7 @@ class Station:
             HTTPException: 409 if the rig is at work or held by another one, 404 without such a recipe.
             UsageError: a serial number that cannot be used, or a place that the rig has no axes for.
         """
-        from anisoscope.inspection.job import check_serial  # noqa: PLC0415 - loads much
+        from anisoscope.inspection.job import check_serial
 
         path = self.recipe_path(asked.recipe)
         serial, place = check_serial(asked.serial.strip()), self._place(asked)
@@ -474,7 +474,7 @@ class Station:
 
     def has_places(self) -> bool:
         """Whether axes x and y bring parts below the camera."""
-        from anisoscope.rig.rigfile import read_rig  # noqa: PLC0415 - as below
+        from anisoscope.rig.rigfile import read_rig
 
         return {"x", "y"} <= read_rig(self.place.rig).linear.keys()
 
@@ -512,9 +512,9 @@ class Station:
 
     def calibrations(self) -> list[dict[str, Any]]:
         """Calibrations of the rig, with the days that each still holds."""
-        from datetime import UTC, datetime  # noqa: PLC0415
+        from datetime import UTC, datetime
 
-        from anisoscope.calibration.corrections import list_calibrations  # noqa: PLC0415
+        from anisoscope.calibration.corrections import list_calibrations
 
         now, found = datetime.now(UTC), []
         for one in list_calibrations(self.place.rig, now):
@@ -532,7 +532,7 @@ class Station:
 
     def _film(self, folder: str) -> "list[FrameLine]":
         """The pictures of the part on disk, without dark and flat frames; of calibrations store none."""
-        from anisoscope.rig.acquisition.journal import read_journal  # noqa: PLC0415
+        from anisoscope.rig.acquisition.journal import read_journal
 
         lines = read_journal(self.place.out / folder).frames if folder else ()
         return [line for line in lines if line.kind == "sample"]
@@ -543,9 +543,9 @@ class Station:
         Raises:
             HTTPException: 404, it is not there yet.
         """
-        from anisoscope.live_view.picture import as_jpeg, eight_bits  # noqa: PLC0415
-        from anisoscope.rig.camera import CameraInfo  # noqa: PLC0415
-        from anisoscope.rig.frame import read_frame  # noqa: PLC0415
+        from anisoscope.live_view.picture import as_jpeg, eight_bits
+        from anisoscope.rig.camera import CameraInfo
+        from anisoscope.rig.frame import read_frame
 
         folder, lines = self.place.out / self._now.folder, self._film(self._now.folder)
         if not 1 <= number <= len(lines):

@@ -4,12 +4,12 @@ import os
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
-
-from sqlalchemy import URL, make_url
-from sqlalchemy.exc import ArgumentError
+from typing import TYPE_CHECKING, Literal
 
 from anisoscope.base.errors import UsageError
+
+if TYPE_CHECKING:  # a file needs no library to be named
+    from sqlalchemy import URL
 
 HISTORY_NAME = "history.sqlite"
 VARIABLE = "ANISOSCOPE_HISTORY"
@@ -25,17 +25,17 @@ class Address:
     """A history's place; as text it does not show the password.
 
     Attributes:
-        url: for the database's driver.
+        url: of a server, for the database's driver; None of a file.
         path: the file, or None of a server.
         tls: how the connection is encrypted; False: not at all; None: if the server offers it.
     """
 
-    url: URL
+    url: "URL | None" = None
     path: Path | None = None
     tls: ssl.SSLContext | Literal[False] | None = None
 
     def __str__(self) -> str:
-        return str(self.path) if self.path is not None else self.url.render_as_string(hide_password=True)
+        return str(self.path) if self.url is None else self.url.render_as_string(hide_password=True)
 
 
 def parse_address(text: str | Path) -> Address:
@@ -51,6 +51,9 @@ def parse_address(text: str | Path) -> Address:
     """
     if isinstance(text, Path) or "://" not in text:
         return _file(Path(text))
+    from sqlalchemy import make_url
+    from sqlalchemy.exc import ArgumentError
+
     try:
         url = make_url(text)
     except (ArgumentError, ValueError):
@@ -86,10 +89,10 @@ def chosen(option: str | None, out: Path) -> str | Path | None:
 def _file(path: Path) -> Address:
     file = path / HISTORY_NAME if path.is_dir() else path
     file = file.absolute()
-    return Address(URL.create("sqlite+pysqlite", database=str(file)), file)
+    return Address(path=file)
 
 
-def _server(url: URL) -> Address:
+def _server(url: "URL") -> Address:
     query = dict(url.query)
     host, mode, root = query.pop("host", None), query.pop("sslmode", "prefer"), query.pop("sslrootcert", None)
     if query.keys() - {"unix_sock"} or not url.database:

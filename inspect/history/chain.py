@@ -14,12 +14,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from anisoscope.history import schema
 from anisoscope.history.database import Database
 from anisoscope.history.problems import Damage, HistoryError
+from anisoscope.history.rows import PRECISION
 
 START = bytes(32)
 """What the first row has for the hash of the row before it."""
 _encoded = json.JSONEncoder(separators=(",", ":")).encode
-PRECISION, DIGITS = 1e-6, 7
-"""Relative precision of the stored numbers of a row, and the digits of their display."""
+DIGITS = 7
+"""Of the stored numbers of a row, in their display."""
 _SINGLE, _DOUBLE = struct.Struct("<f"), struct.Struct("<d")
 INSPECTION_FIELDS = (
     "id",

@@ -240,6 +240,7 @@ def _write_ahead(connection: Connection) -> None:
 def _postgresql(address: Address) -> Engine:
     name = f"anisoscope, process {os.getpid()} on {socket.gethostname()}"
     options: dict[str, Any] = {"timeout": WAIT_S + 3, "application_name": name[:63]}
+    assert address.url is not None
     if address.tls is not None:
         options["ssl_context"] = address.tls
     engine = create_engine(

@@ -17,8 +17,7 @@ from anisoscope.base.errors import RecordError
 from anisoscope.base.json_fields import LEFT_OUT
 from anisoscope.base.last_signed import last_records
 from anisoscope.base.signature import Signed, Signer, Trust, clock_set_back
-from anisoscope.history.chain import PRECISION
-from anisoscope.history.rows import Row, row_of, storable
+from anisoscope.history.rows import PRECISION, Row, row_of, storable
 from anisoscope.history.schema import inspections
 from anisoscope.history.store import History
 from anisoscope.record.schema import RECORD_NAME, Record, read_record, record_signature

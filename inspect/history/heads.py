@@ -387,7 +387,7 @@ def _last(history: History) -> tuple[int, str]:
 
 def _client() -> ModuleType:
     try:
-        import rfc3161_client  # noqa: PLC0415 - an extra
+        import rfc3161_client
     except ImportError:
         raise UsageError(
             "time stamps need the package rfc3161-client: pip install 'anisoscope[timestamp]'"
@@ -416,7 +416,7 @@ def _stamps(
     stamps: Sequence[Any], heads: dict[int, Any], authorities: Path
 ) -> tuple[datetime | None, list[str]]:
     """The latest time that authorities vouch for, and what is wrong with time stamps."""
-    from cryptography.x509 import load_pem_x509_certificates  # noqa: PLC0415
+    from cryptography.x509 import load_pem_x509_certificates
 
     client, moment, problems = _client(), None, list[str]()
     try:

@@ -15,6 +15,8 @@ from anisoscope.record.schema import RECORD_NAME, Record, sha256_of
 
 RECIPE_DIGITS = 12
 MAX_TEXT = 200
+PRECISION = 1e-6
+"""Relative precision of the stored numbers of a row."""
 CAUSE = "cause "
 """Begins the label of the best cause of a diagnosis."""
 MAX_REASONS = 240

@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self, cast
-
-from sqlalchemy import Connection, insert, select, text, update
+from typing import TYPE_CHECKING, Literal, Self, cast
 
 from anisoscope.base.crash import Steady
 from anisoscope.base.printable import check_printable
-from anisoscope.history import schema
-from anisoscope.history.columns import us_to_datetime
 from anisoscope.history.rows import storable
-from anisoscope.history.store import History, open_history
+
+if TYPE_CHECKING:  # a server gives its first sign in a thread, when its first page is there
+    from sqlalchemy import Connection
+
+    from anisoscope.history.store import History
 
 Doing = Literal["idle", "running", "fault", "off"]
 State = Literal["idle", "running", "fault", "off", "no sign"]
@@ -29,7 +29,6 @@ SILENT_S = 35.0
 """After so long without a sign a station is not called idle or running: three signs have not come."""
 MOST_WORDS = 240
 _END_S = 5.0
-_TABLE = schema.stations
 
 
 @dataclass(frozen=True)
@@ -66,35 +65,46 @@ class Sign:
         return "no sign", latest
 
 
-def give_sign(history: History, station: str, doing: Doing, words: str = "") -> None:
+def give_sign(history: "History", station: str, doing: Doing, words: str = "") -> None:
     """Replace the sign of a station.
 
     Raises:
         HistoryError: the history cannot be written.
     """
+    from sqlalchemy import insert, select, update
+
+    from anisoscope.history.schema import stations
+
     with history.writing() as connection:
         moment = moment_us(connection)
-        here = _TABLE.c.station == storable(station)
-        before = connection.scalar(select(_TABLE.c.doing).where(here))
+        here = stations.c.station == storable(station)
+        before = connection.scalar(select(stations.c.doing).where(here))
         values = {"doing": doing, "words": storable(words, MOST_WORDS), "seen_us": moment}
         values |= {"since_us": moment} if before != doing else {}
         if before is None:
-            connection.execute(insert(_TABLE).values(station=storable(station), **values))
+            connection.execute(insert(stations).values(station=storable(station), **values))
         else:
-            connection.execute(update(_TABLE).where(here).values(values))
+            connection.execute(update(stations).where(here).values(values))
 
 
-def read_signs(history: History) -> list[Sign]:
+def read_signs(history: "History") -> list[Sign]:
     """The last signs of all stations by name; none of a history of an earlier version.
 
     Raises:
         HistoryError: the history cannot be read.
     """
+    from sqlalchemy import select
+
+    from anisoscope.history import schema
+    from anisoscope.history.columns import us_to_datetime
+
     with history.reading() as connection:
         if schema.version_of(connection) < schema.WITH_STATIONS:
             return []
         moment = moment_us(connection)
-        rows = connection.execute(select(_TABLE).order_by(_TABLE.c.station)).mappings().all()
+        rows = (
+            connection.execute(select(schema.stations).order_by(schema.stations.c.station)).mappings().all()
+        )
     return [
         Sign(
             row["station"],
@@ -108,9 +118,11 @@ def read_signs(history: History) -> list[Sign]:
     ]
 
 
-def moment_us(connection: Connection) -> int:
+def moment_us(connection: "Connection") -> int:
     """Microseconds since 1970 by the one clock that all stations of a history share: that of its server."""
     if connection.dialect.name == "postgresql":
+        from sqlalchemy import text
+
         now = text("SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000000 AS bigint)")
         return int(connection.scalar(now) or 0)
     return time.time_ns() // 1000
@@ -176,5 +188,7 @@ class Beacon:
     def _give(self) -> None:
         assert self._place is not None
         assert self._station is not None
+        from anisoscope.history.store import open_history
+
         with open_history(self._place) as history:
             give_sign(history, self._station, *self._now)

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -18,7 +19,9 @@ from anisoscope.base.json_file import parsed_json
 from anisoscope.base.regular_file import bounded_bytes
 from anisoscope.history.address import Address
 from anisoscope.history.rows import NewRow, Row
-from anisoscope.history.store import History
+
+if TYPE_CHECKING:
+    from anisoscope.history.store import History
 
 WAITING = "history-waiting"
 _AT_ONCE = 200
@@ -57,7 +60,7 @@ def wait(new: NewRow, address: Address, out: Path) -> Path:
     return folder
 
 
-def deliver(history: History, out: Path, news: Sequence[NewRow] = ()) -> Delivered:
+def deliver(history: "History", out: Path, news: Sequence[NewRow] = ()) -> Delivered:
     """Enter what waits for a history, the oldest first, and then new inspections.
 
     Args:

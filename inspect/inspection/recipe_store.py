@@ -42,7 +42,7 @@ def recipe_path(folder: Path, name: str) -> Path:
 
 def recipe_entry(path: Path) -> RecipeEntry:
     """Name and product of a recipe; an unreadable one gives the reason."""
-    from anisoscope.kinds.registry import read_any_recipe  # noqa: PLC0415 - loads the kinds
+    from anisoscope.kinds.recipes import read_any_recipe  # noqa: PLC0415 - loads the kinds
     from anisoscope.recipe.logo import logo_uri  # noqa: PLC0415
 
     try:

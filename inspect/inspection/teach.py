@@ -25,7 +25,8 @@ from anisoscope.inspection.replay import inspect_frames, read_given
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.kind import AnyKind
 from anisoscope.kinds.parts import Reference, Teaching
-from anisoscope.kinds.registry import kind_of, read_any_recipe
+from anisoscope.kinds.recipes import read_any_recipe
+from anisoscope.kinds.registry import kind_of
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path

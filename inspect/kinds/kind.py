@@ -19,7 +19,6 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, RecipeError
 from anisoscope.base.notation import present_notation
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.toml_file import read_toml_model
 from anisoscope.calibration.corrections import Calibrations
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.pose_radiance import drift_error
@@ -243,13 +242,8 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         return False
 
     def read_recipe(self, path: Path) -> RecipeT:
-        """Read a recipe; ``${here}`` in it is the folder of the file.
-
-        Raises:
-            RecipeError: the file is missing or wrong; the message names file, key and what is expected.
-        """
-        here = {"here": str(path.resolve().parent)}
-        return read_toml_model(path, self.recipe, error=RecipeError, substitutions=here)
+        """Read a recipe; errors as for `RecipeBase.read`."""
+        return self.recipe.read(path)
 
     def read_copy(self, path: Path, copies: Mapping[str, Path]) -> RecipeT:
         """Read the copy of a recipe in an inspection folder, where the files that it names are copies, by role.

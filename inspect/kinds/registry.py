@@ -12,7 +12,6 @@ from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.kinds.kind import AnyKind, Kind
 from anisoscope.kinds.parts import Beginning, collecting
 from anisoscope.parameters.new_recipe import NewRecipe
-from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.details import GROUP, kind_of_recipe, recorded_kind
 from anisoscope.record.schema import read_record
@@ -51,17 +50,6 @@ def kind_of(path: Path) -> AnyKind:
         return kind_named(kind_of_recipe(_table(path)))
     except (RecipeError, RecordError) as problem:
         raise RecipeError(f"{path}: kind: {problem}") from problem
-
-
-def read_any_recipe(path: Path | str) -> RecipeBase:
-    """Read a recipe of whichever kind it is; ``${here}`` in it stands for its own folder.
-
-    Raises:
-        RecipeError: it cannot be read or used; the message names the file and the entry.
-    """
-    path = Path(path)
-    recipe: RecipeBase = kind_of(path).read_recipe(path)
-    return recipe
 
 
 def read_recipe(path: Path) -> SurfaceRecipe:

@@ -102,7 +102,6 @@ from anisoscope.recipe.surface import (
     SurfaceRecipe,
     check_lamp,
     check_material,
-    read_surface_recipe,
 )
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.schema import (
@@ -159,10 +158,6 @@ class SurfaceKind(
     def details(self) -> type[SurfaceDetails]:
         """Contrasts, map, comparisons."""
         return SurfaceDetails
-
-    def read_recipe(self, path: Path) -> RecipeT:
-        """Read a recipe; errors as for `anisoscope.recipe.surface.read_surface_recipe`."""
-        return read_surface_recipe(path, self.recipe)
 
     def check(self, recipe: RecipeT, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
         """Check that lamp and lens are those of the recipe's prediction and of its material."""

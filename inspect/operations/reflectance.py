@@ -22,7 +22,7 @@ from anisoscope.bsdf.reflectance import Reflectance
 from anisoscope.bsdf.rgl import Resolution
 from anisoscope.bsdf.textures import write_height_textures
 from anisoscope.kinds.plates.recipe import PlateRecipe
-from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.kinds.recipes import read_any_recipe
 from anisoscope.parameters.keywords import by_keywords
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.reflecting import Reflecting

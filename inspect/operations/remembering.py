@@ -12,12 +12,10 @@ from anisoscope.base.errors import AnisoscopeError, RecordError
 from anisoscope.base.signature import signer_in_use
 from anisoscope.history.address import VARIABLE, chosen, parse_address
 from anisoscope.history.filters import Filters
-from anisoscope.history.heads import sign_head
 from anisoscope.history.rows import NewRow, row_of, storable
-from anisoscope.history.spool import deliver, wait
-from anisoscope.history.store import History, open_history
 
 if TYPE_CHECKING:  # a server hands these functions to the process that inspects, and does without the rest
+    from anisoscope.history.store import History
     from anisoscope.inspection.reports import Reports
     from anisoscope.inspection.run import Inspected, Methods, UsedBefore
     from anisoscope.report.peers import LotMate
@@ -75,6 +73,7 @@ def lot_mates(place: str | Path | None, lot: str | None) -> "tuple[LotMate, ...]
     """
     if place is None or lot is None or is_away(place):
         return ()
+    from anisoscope.history.store import open_history
     from anisoscope.report.peers import LotMate
 
     try:
@@ -147,6 +146,8 @@ def used_before(place: str | Path | None) -> "UsedBefore":
     def look(pixels: Sequence[str], serial: str) -> str | None:
         if place is None or is_away(place):
             return None
+        from anisoscope.history.store import open_history
+
         try:
             with open_history(place, create=False) as history:
                 row = history.used_by_others(pixels, serial)
@@ -163,6 +164,9 @@ def is_away(place: str | Path) -> bool:
 
 
 def _enter(new: NewRow, out: Path, place: str | Path) -> None:
+    from anisoscope.history.spool import deliver
+    from anisoscope.history.store import open_history
+
     with open_history(place) as history:
         found = deliver(history, out, [new])
         _sign(history)
@@ -172,10 +176,12 @@ def _enter(new: NewRow, out: Path, place: str | Path) -> None:
         _say(line)
 
 
-def _sign(history: History) -> None:
+def _sign(history: "History") -> None:
     try:
         signer = signer_in_use()
         if signer is not None:
+            from anisoscope.history.heads import sign_head
+
             sign_head(history, signer)
     except AnisoscopeError as error:
         _say(f"the head of the history is not signed: {error}")
@@ -184,6 +190,8 @@ def _sign(history: History) -> None:
 def _put_aside(new: NewRow | None, folder: Path, place: str | Path, problem: str) -> None:
     later = f"`anisoscope history add {folder}{_where(place)}` adds it"
     if new is not None:
+        from anisoscope.history.spool import wait
+
         try:
             waits = wait(new, parse_address(place), folder.parent)
             later = f"it waits in {waits} for the next one, or {later}"

@@ -7,19 +7,21 @@ and Ppk the approximation of A. F. Bissell, Applied Statistics 39 (1990) 331. Bo
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import json_field
-from anisoscope.history.chain import PRECISION
-from anisoscope.history.rows import CAUSE
+from anisoscope.history.rows import CAUSE, PRECISION
 from anisoscope.quality.limits import Limits
 from anisoscope.quality.readings import Readings
-from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.surface_details import contrast_label
 from anisoscope.sim.light.contrasts import consecutive_pairs
+
+if TYPE_CHECKING:
+    from anisoscope.recipe.surface import SurfaceRecipe
 
 CONFIDENCE = 0.95
 GOOD, POOR = 1.33, 1.0
@@ -160,7 +162,7 @@ DEVIATION, TOLERANCE, DOUBT = "deviation ", "tolerance ", "u "
 SAME = 4.0 * PRECISION  # two predictions of one recipe differ by rounding only
 
 
-def recipe_tolerances(recipe: SurfaceRecipe) -> dict[str, float]:
+def recipe_tolerances(recipe: "SurfaceRecipe") -> dict[str, float]:
     """The tolerance of every contrast of a recipe, by its label.
 
     Raises:

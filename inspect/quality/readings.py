@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +15,10 @@ from anisoscope.base.csv_style import CsvReader
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
 from anisoscope.history.aqdef import SUFFIXES, read_aqdef
-from anisoscope.history.column_wise import Columns
 from anisoscope.history.filters import Filters
-from anisoscope.history.store import open_history
+
+if TYPE_CHECKING:
+    from anisoscope.history.column_wise import Columns
 
 GROUPS = ("product", "recipe", "lot", "cavity", "station", "operator")
 TEXTS = ("time", "serial", *GROUPS, "verdict", "part", "appraiser", "trial", "folder")
@@ -275,6 +277,8 @@ def history_readings(place: str | Path, filters: Filters) -> Readings:
         UsageError: no inspection is left, or none has a number.
         HistoryError: the history cannot be read.
     """
+    from anisoscope.history.store import open_history  # noqa: PLC0415 - slow to import
+
     with open_history(place, create=False) as history:
         found = history.columns(filters)
         where = f"history {history.address}"
@@ -296,6 +300,8 @@ def with_machine(readings: Readings, place: str | Path) -> Readings:
     Raises:
         HistoryError: the history cannot be read.
     """
+    from anisoscope.history.store import open_history  # noqa: PLC0415
+
     with open_history(place, create=False) as history:
         found = history.covariates()
     # times of readings are whole seconds
@@ -303,7 +309,7 @@ def with_machine(readings: Readings, place: str | Path) -> Readings:
     return replace(readings, machine=found.of_parts(readings.column("serial"), times))
 
 
-def readings_of(found: Columns, source: str) -> Readings:
+def readings_of(found: "Columns", source: str) -> Readings:
     """Numbers of INVALID inspections are missing, and so are those that an inspection does not have.
 
     Args:

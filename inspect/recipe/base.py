@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from anisoscope.base.errors import RecipeError
-from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
+from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 from anisoscope.recipe.poses import PosesPart
 from anisoscope.rig.acquisition.plan import LEAST_STEP
 from anisoscope.rig.fixture import Fixture
@@ -171,6 +171,34 @@ class RecipeBase(Part):
     def step_mm(self) -> float:
         """Increment of the size of a region."""
         return 0.1
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a recipe of this kind; ``${here}`` in it is the folder of the file.
+
+        Raises:
+            RecipeError: the file is missing or wrong; the message names file, key and what is expected.
+        """
+        found = cls.parsed(path)
+        found.check_named(path)
+        return found
+
+    @classmethod
+    def parsed(cls, path: Path) -> Self:
+        """As `read`, without a look at what the recipe names."""
+        return read_toml_model(
+            path, cls, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
+        )
+
+    def check_named(self, path: Path) -> None:
+        """Check what the recipe names, such as files; nothing by default.
+
+        Args:
+            path: of the recipe, for the message.
+
+        Raises:
+            RecipeError: it cannot be used.
+        """
 
 
 def check_region(recipe: RecipeBase, fixture: Fixture | None, path: Path) -> None:

@@ -4,7 +4,6 @@ import base64
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import cv2
 import numpy as np
 
 from anisoscope.base.errors import RecipeError
@@ -68,6 +67,8 @@ def with_logo(recipe: RecipeBase, path: Path | None) -> RecipeBase:
 def _is_png(data: bytes) -> bool:
     if not data.startswith(_PNG):
         return False
+    import cv2  # noqa: PLC0415 - slow to import
+
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) is not None
 
 

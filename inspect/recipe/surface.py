@@ -2,13 +2,13 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from anisoscope.base.errors import HeightMapError, ModelError, RecipeError, RigFileError
 from anisoscope.base.quantity import read_number
-from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
+from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import (
     SCATTER_ALBEDO,
@@ -408,6 +408,13 @@ class SurfaceRecipe(RecipeBase):
             raise ValueError(f"decision.tolerance lists {len(tolerance)} values for {pairs} pairs of angles")
         return self
 
+    def check_named(self, path: Path) -> None:
+        """Check that the material can be computed with."""
+        try:
+            self.material.material()
+        except ModelError as error:
+            raise RecipeError(f"{path}: material: {error}") from None
+
     def _check_span(self, pitches: float, words: str) -> None:
         """Check that the region spans the minimum number of pitches both ways."""
         smallest_mm = pitches * self.surface.pitch_um / 1000.0
@@ -438,25 +445,6 @@ class SurfaceRecipe(RecipeBase):
     def deciding(self) -> Self:
         """The recipe reduced to the surface that decides."""
         return self.against(self.surface.decides) if self.surface.both else self
-
-
-RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
-
-
-def read_surface_recipe(path: Path, model: type[RecipeT]) -> RecipeT:
-    """Read a recipe of one kind of surface; ``${here}`` in it stands for its own folder.
-
-    Raises:
-        RecipeError: the file is missing or wrong; the message names file, key and what is expected.
-    """
-    recipe = read_toml_model(
-        path, model, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
-    )
-    try:
-        recipe.material.material()
-    except ModelError as error:
-        raise RecipeError(f"{path}: material: {error}") from None
-    return recipe
 
 
 def check_material(

@@ -21,7 +21,7 @@ class Details(BaseModel):
     judged by it; "" where all does.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     exclusions: Annotated[tuple[ExclusionRecord, ...], Field(exclude_if=lambda found: not found)] = ()
     not_described: Annotated[str, Field(exclude_if=lambda found: not found)] = ""

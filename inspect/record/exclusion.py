@@ -13,7 +13,7 @@ class ExclusionRecord(BaseModel):
     ``where`` is the place of the part that may have the largest one, empty where the defect is of the whole part.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     words: str
     size: float

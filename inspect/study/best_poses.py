@@ -9,6 +9,7 @@ other, then exchanges until none helps. The chosen poses are judged to second or
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -32,7 +33,7 @@ from anisoscope.prediction.part_scatter import (
 )
 from anisoscope.prediction.propagation import propagate
 from anisoscope.prediction.sensitivity import DARK, State, evaluate
-from anisoscope.recipe.surface import RecipeT, SurfaceRecipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import directions, pose_grid
 
 FREE_LEVEL = 25.0
@@ -45,6 +46,7 @@ BRACKET, MOST_BRACKETS = 4, 4
 ANGLE_POSES = 3
 """Poses that the angle map needs for lean across, lean along and roughness."""
 _ROUNDS = 6
+RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -126,7 +125,7 @@ class ReliefSample:
 
     @cached_property
     def _shown(self) -> Callable[[tuple[float, ...]], Image]:
-        from anisoscope.sim.pathtracer.tracer import PathTracer  # noqa: PLC0415 - numba when first needed
+        from anisoscope.sim.pathtracer.tracer import PathTracer
 
         part, distance = self._file.sample, self._file.optics.lamp_distance_mm
         tracer = PathTracer(
@@ -156,12 +155,12 @@ def build_sample(file: BenchFile, rng: np.random.Generator) -> Sample:
     """
     part = file.sample
     if part.kind == "print":
-        from anisoscope.sim.bench.prints import PrintSample  # noqa: PLC0415 - of one kind of sample only
+        from anisoscope.sim.bench.prints import PrintSample
 
         lamp_mm, raster_um = file.optics.lamp_distance_mm, file.optics.pixel_um
         return PrintSample(part.print or PrintPart(), part.size_mm, raster_um, file.vision(), rng, lamp_mm)
     if part.kind == "wafer":
-        from anisoscope.sim.bench.wafer import build_wafer  # noqa: PLC0415 - of one kind of sample only
+        from anisoscope.sim.bench.wafer import build_wafer
 
         assert part.wafer is not None  # the bench file's own check
         return build_wafer(part.wafer, part.size_mm, rng)
@@ -186,7 +185,7 @@ def build_surface(part: SamplePart, rng: np.random.Generator) -> RidgedSurface:
         HeightMapError: the file cannot be read, or too much of the map is missing.
     """
     if part.kind == "height-map":
-        from anisoscope.profiles.files.load import read_height_map  # noqa: PLC0415 - readers of all formats
+        from anisoscope.profiles.files.load import read_height_map
 
         assert part.file is not None  # the bench file's own check
         found = read_height_map(part.file)
@@ -207,7 +206,7 @@ def build_surface(part: SamplePart, rng: np.random.Generator) -> RidgedSurface:
             surface, alpha_along=alpha, alpha_across=alpha, correlation_um=part.correlation_um, rng=rng
         )
     if part.burr_coverage > 0:
-        from anisoscope.profiles.defects import burrs  # noqa: PLC0415 - of few samples
+        from anisoscope.profiles.defects import burrs
 
         surface = burrs(surface, part.burr_coverage, pitch_um=part.pitch_um, rng=rng).map
     return RidgedSurface(surface, part.pitch_um)
@@ -250,6 +249,8 @@ def image_of_code(
     Raises:
         RigFileError: the text cannot be written in such a code.
     """
+    import cv2
+
     dots = np.kron(printed(code), np.ones((_DOTS_PER_MODULE, _DOTS_PER_MODULE), dtype=np.float32))
     dot_mm = code.width_mm / dots.shape[1]
     sigma = float(np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0) / (1000.0 * dot_mm))

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -165,6 +164,8 @@ def _torn(counts: Counts, how: str) -> Counts:
 
 def _bent(picture: FloatArray, barrel: float) -> FloatArray:
     """A picture whose corners move towards the middle by a share: r′ = r (1 − barrel·(r/r of a corner)²)."""
+    import cv2
+
     rows, cols = picture.shape
     y, x = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
     away = np.hypot(x, y)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 from itertools import cycle
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -64,6 +63,8 @@ def vignette(part: OpticsPart, sensor: SensorPart) -> Image:
 
 
 def _blurred(image: Image, sigma_px: tuple[float, float]) -> Image:
+    import cv2
+
     if max(sigma_px) < 1e-3:
         return image
     sigma_x, sigma_y = (max(s, 1e-3) for s in sigma_px)
@@ -98,6 +99,8 @@ def image_of_surface(
         The image, and the share of each pixel that the sample covers.
     """
     # lens blur, and the pixel's own width as a blur of equal variance
+    import cv2
+
     sigma_um = np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0)
     sigma_px = sigma_um / pixel_um[1], sigma_um / pixel_um[0]
     shown = _blurred(np.nan_to_num(radiance), sigma_px)
@@ -134,6 +137,8 @@ def image_of_fixture(
     Raises:
         RigFileError: OpenCV has no such dictionary, or the dictionary no such marker.
     """
+    import cv2
+
     if not hasattr(cv2.aruco, fixture.dictionary):
         raise RigFileError(f"fixture.dictionary: OpenCV has no dictionary '{fixture.dictionary}'")
     plate = np.full((sensor.rows, sensor.cols), PLATE, dtype=np.float32)
@@ -146,6 +151,8 @@ def image_of_fixture(
 
     def pasted(reflectance: npt.NDArray[np.float32], x_mm: float, y_mm: float) -> None:
         """Add a square print to the plate; its elements are dots."""
+        import cv2
+
         square = _blurred(np.pad(reflectance - PLATE, margin), (sigma, sigma))
         half = (square.shape[0] - 1) / 2 * dot_mm
         dot_to_mm = np.array([[dot_mm, 0, x_mm - half], [0, -dot_mm, y_mm + half], [0, 0, 1]])

@@ -1,6 +1,7 @@
 """``anisoscope serve``: the console in the browser, at the station and over all stations."""
 
 import contextlib
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ from anisoscope.views.options import Given, Options, with_options
 
 if TYPE_CHECKING:
     from anisoscope.console.openid import OpenId
+    from anisoscope.live_view.lamps import RigLamps
 
 
 @with_options(settings=Options(ConsoleSettings, repeated=("name",), groups={"idle": MORE}, whole=True))
@@ -60,7 +62,12 @@ def serve(
     from anisoscope.console.trail import Trail, trail_of
     from anisoscope.history.signs import Beacon
     from anisoscope.inspection.work import WorkerProcess, Workplace, held_rig
-    from anisoscope.live_view.lamps import RigLamps
+
+    @functools.cache
+    def lamps() -> "RigLamps":  # loads much that the first page does not need
+        from anisoscope.live_view.lamps import RigLamps
+
+        return RigLamps(rig)
 
     asked = settings.made()
     users, tls, out = asked.users, asked.tls, into.out
@@ -76,7 +83,7 @@ def serve(
         listener = stack.enter_context(listen(asked.host, asked.port))
         here = int(listener.getsockname()[1])
         own = stack.enter_context(held_rig(rig))
-        eyes = None if own.camera is None else Eyes(own.camera, own.light, own.channel, RigLamps(rig))
+        eyes = None if own.camera is None else Eyes(own.camera, own.light, own.channel, lamps)
         work = Workplace(
             rig, out, place, remember, lot_mates, explained, used_before=used_before, judge_lot=judge_lot
         )

@@ -252,7 +252,7 @@ def _serve(
 
     with listen(HERE, port, "--web-port") as listener:
         hosts = hosts_of(HERE, int(listener.getsockname()[1]))
-        eyes = Eyes(SharedCamera(camera), None, shot.channel, lamps)  # the light is on, or not
+        eyes = Eyes(SharedCamera(camera), None, shot.channel, lambda: lamps)  # the light is on, or not
         live = Live(eyes, gap_s=1.0 / how.fps, measure=how.focus)
         app = create_app(
             Access(None, Trail(None)),

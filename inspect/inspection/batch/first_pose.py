@@ -8,7 +8,7 @@ from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.inspection.batch.codes import Code, one_code, read_codes
 from anisoscope.inspection.batch.scan import Scan
 from anisoscope.inspection.frame_table import Replay
-from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.kinds.recipes import read_any_recipe
 from anisoscope.parameters.inspecting import CodeKind
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.opening import Rig, open_rig

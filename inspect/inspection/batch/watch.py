@@ -42,7 +42,7 @@ from anisoscope.inspection.run import (
     missing_report,
     never_used,
 )
-from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.kinds.recipes import read_any_recipe
 from anisoscope.parameters.inspecting import CodeKind
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import RECORD_NAME, Particulars, sha256_of

@@ -122,23 +122,13 @@ class Plates(
         """Its recipe has a table [plan]."""
         return "plan" in table
 
-    def read_recipe(self, path: Path) -> PlateRecipe:
-        """Read a recipe and its plan.
-
-        Raises:
-            RecipeError: the file is missing or wrong, or its plan cannot be read or does not fit.
-        """
-        found = super().read_recipe(path)
-        found.check_plan(path)
-        return found
-
     def read_copy(self, path: Path, copies: Mapping[str, Path]) -> PlateRecipe:
         """Read the copy of a recipe with the copy of its plan, wherever the plan was."""
-        found = super().read_recipe(path)
+        found = PlateRecipe.parsed(path)
         if PLAN in copies:
             plan = found.plan.model_copy(update={"file": copies[PLAN]})
             found = found.model_copy(update={"plan": plan})
-        found.check_plan(path)
+        found.check_named(path)
         return found
 
     def sources(self, recipe: PlateRecipe, rig: RigFile) -> Mapping[str, Path]:

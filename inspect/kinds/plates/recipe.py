@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-import cv2
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
@@ -71,6 +70,8 @@ def _rows_of(path: Path, letters: tuple[str, ...]) -> tuple[str, ...]:
         if len(letters) < 2:
             raise ValueError(f"{path}: an image has two classes; name two in facet_azimuths_deg")
         content = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.zeros(0, np.uint8)
+        import cv2  # noqa: PLC0415 - slow to import
+
         found = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if content.size else None
         if found is None:
             raise ValueError(f"{path}: there is no such image, or it cannot be read")
@@ -182,18 +183,12 @@ class PlateRecipe(RecipeBase):
         pitch = 1e-3 * self.surface.pitch_um / self.plan.module_mm
         return pitch if pitch <= self.fields.interior < 2.0 * pitch else self.fields.interior
 
-    def check_plan(self, path: Path) -> Plan:
-        """The plan of the recipe, read and checked.
-
-        Raises:
-            RecipeError: it cannot be read, or does not fit the recipe.
-        """
+    def check_named(self, path: Path) -> None:
+        """Read the plan, and check that it fits the recipe."""
         try:
-            found = self.plan.plan()
-            self._check_plan(found)
+            self._check_plan(self.plan.plan())
         except ValueError as problem:
             raise RecipeError(f"{path}: plan: {problem}") from None
-        return found
 
     def of_class(self, azimuth_deg: float, ridge_angle_deg: float | None = None) -> SurfaceRecipe:
         """The recipe of ridges alone, facets toward an azimuth at stage angle 0, with a ridge angle of their own."""

@@ -11,7 +11,7 @@ MOST_LISTED = 24
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class PlateContrastRecord(_Part):

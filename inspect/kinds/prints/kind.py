@@ -48,7 +48,7 @@ from anisoscope.kinds.prints.measurement import (
     measure_print,
     region_mean,
 )
-from anisoscope.kinds.prints.recipe import OF_INK, UNSTATED, PrintDefects, PrintRecipe, read_print_recipe
+from anisoscope.kinds.prints.recipe import OF_INK, UNSTATED, PrintDefects, PrintRecipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
 from anisoscope.kinds.prints.reference_comparison import lot_scatter
 from anisoscope.kinds.prints.reference_prints import (
@@ -104,10 +104,6 @@ class Prints(
     def recognises(self, table: Mapping[str, Any]) -> bool:
         """Its recipe has a table [print]."""
         return "print" in table
-
-    def read_recipe(self, path: Path) -> PrintRecipe:
-        """Read a recipe; errors as for `read_print_recipe`."""
-        return read_print_recipe(path)
 
     def check(self, recipe: PrintRecipe, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
         """Check that the rig file states lamp spectrum and sensitivities."""

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import ModelError, RecipeError, UsageError
-from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
+from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share
 from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.recipe.base import CommonUncertainty, LotDecision, RecipeBase
 from anisoscope.recipe.poses import PosesPart
@@ -217,6 +217,23 @@ class PrintRecipe(RecipeBase):
         """By what a region grows: a cell of the map."""
         return super().step_mm if self.area is None else self.area.cell_mm
 
+    def check_named(self, path: Path) -> None:
+        """Read the inks, which differ in name.
+
+        Raises:
+            RecipeError: two of them have one name.
+            InkFileError: one of them cannot be read; the message names the key as well.
+        """
+        inks = [("print.ink", self.print.ink)]
+        inks += [(f"print.wrong_inks[{k}]", name) for k, name in enumerate(self.print.wrong_inks)]
+        names = [_named(path, key, name) for key, name in inks]
+        for name in names:
+            if names.count(name) > 1:
+                raise RecipeError(
+                    f"{path}: print: two of its inks are called {name!r}, which the diagnosis could not tell apart: "
+                    "name each ink once, or give the ink files different names"
+                )
+
     @model_validator(mode="after")
     def _cells_fit(self) -> Self:
         if self.area is not None and min(self.region.size_mm) < SIDES * self.area.cell_mm:
@@ -224,28 +241,6 @@ class PrintRecipe(RecipeBase):
                 f"region.size_mm must span at least {SIDES} cells of area.cell_mm ({self.area.cell_mm:g} mm) each way"
             )
         return self
-
-
-def read_print_recipe(path: Path) -> PrintRecipe:
-    """Read the recipe of a print.
-
-    Raises:
-        RecipeError: the file is missing or wrong; the message names file, key and what is expected.
-        InkFileError: one of its inks cannot be read; the message names the key as well.
-    """
-    recipe = read_toml_model(
-        path, PrintRecipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
-    )
-    inks = [("print.ink", recipe.print.ink)]
-    inks += [(f"print.wrong_inks[{k}]", name) for k, name in enumerate(recipe.print.wrong_inks)]
-    names = [_named(path, key, name) for key, name in inks]
-    for name in names:
-        if names.count(name) > 1:
-            raise RecipeError(
-                f"{path}: print: two of its inks are called {name!r}, which the diagnosis could not tell apart: name "
-                "each ink once, or give the ink files different names"
-            )
-    return recipe
 
 
 def _named(path: Path, key: str, ink: str) -> str:
@@ -380,7 +375,7 @@ def write_new_recipe(out: Path, requested: NewRecipe) -> None:
     others = tuple(name for name in SYNTHETIC if name != ink) if ink in SYNTHETIC else ()
     write_text(out, new_print_recipe(requested.product or "print", ink, others, requested.largest_mm))
     try:
-        read_print_recipe(out)
+        PrintRecipe.read(out)
     except BaseException:
         out.unlink()
         raise

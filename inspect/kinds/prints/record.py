@@ -25,7 +25,7 @@ def triple(values: FloatArray) -> Triple:
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class ColourRecord(_Part):

@@ -33,7 +33,7 @@ from anisoscope.kinds.prints.lighting import check_print_rig, expectation_of_pri
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
 from anisoscope.kinds.prints.pose_colours import colours_of
 from anisoscope.kinds.prints.quantities import Quantity
-from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.record import LENGTHS, print_of
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.prints.sources import of_poses, total
@@ -214,7 +214,7 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
     """
     if not 0.5 <= share < 1.0:
         raise UsageError(f"--share must lie between 0.5 and 1, not {share:g}")
-    recipe = read_print_recipe(recipe_path)
+    recipe = PrintRecipe.read(recipe_path)
     rig = read_replay_rig(rig_path, recipe.acquisition.light_channel)
     check_print_rig(rig, rig_path)
     golden = read_golden_prints(golden_path(recipe_path), recipe, rig)
@@ -233,7 +233,7 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
     new = with_values(text, values)
     write_text(previous, text)
     write_text(recipe_path, new)
-    taught = read_print_recipe(recipe_path)
+    taught = PrintRecipe.read(recipe_path)
     changes = tuple(
         Change(f"tolerances.{key}", getattr(recipe.tolerances, key), getattr(taught.tolerances, key), one.why)
         for key, one in limits.items()

@@ -12,7 +12,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.toml_edits import toml_literal
 from anisoscope.base.toml_file import Positive
 from anisoscope.parameters.new_recipe import NewRecipe
-from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, read_surface_recipe
+from anisoscope.recipe.surface import AreaPart, SurfaceRecipe
 
 
 class RidgeAreaPart(AreaPart):
@@ -180,7 +180,7 @@ def write_new_recipe(out: Path, requested: NewRecipe) -> None:
     )
     write_text(out, text)
     try:
-        read_surface_recipe(out, RidgeRecipe)
+        RidgeRecipe.read(out)
     except BaseException:
         out.unlink()
         raise

@@ -21,7 +21,6 @@ from anisoscope.recipe.surface import (
     RigUncertainty,
     ScatterPart,
     SurfaceRecipe,
-    read_surface_recipe,
 )
 
 
@@ -211,7 +210,7 @@ def write_new_recipe(out: Path, requested: NewRecipe) -> None:
     )
     write_text(out, text)
     try:
-        read_surface_recipe(out, WaferRecipe)
+        WaferRecipe.read(out)
     except BaseException:
         out.unlink()
         raise

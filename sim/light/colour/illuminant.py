@@ -59,7 +59,9 @@ class Illuminant:
         """
         low = np.maximum(np.asarray(centres_nm, dtype=np.float64) - 0.5 * width_nm, VISIBLE_NM[0])
         high = np.minimum(np.asarray(centres_nm, dtype=np.float64) + 0.5 * width_nm, VISIBLE_NM[1])
-        grid = np.union1d(self.wavelengths_nm, np.concatenate([low, high]))
+        grid = np.array(
+            sorted({*self.wavelengths_nm, *low.flat, *high.flat})
+        )  # np.union1d loads masked arrays
         power = np.interp(grid, self.wavelengths_nm, self.power)
         until = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(grid))])
         return np.asarray((np.interp(high, grid, until) - np.interp(low, grid, until)) / (high - low))

@@ -75,9 +75,7 @@ class Keys:
 
 
 def app_with(keys):
-    router = live_router(
-        Live(Eyes(Ridges(), None, lamps=RigLights()), gap_s=0.0), 0.003, 1.0, keys, "rig <2>"
-    )
+    router = live_router(Live(Eyes(Ridges(), None, lamps=RigLights), gap_s=0.0), 0.003, 1.0, keys, "rig <2>")
     pages = [Page("/station", "Picture")]
     return lambda hosts: create_app(Access(None, Trail(None)), [router], hosts, pages=pages)
 
@@ -126,7 +124,7 @@ def test_the_lamps_of_the_rig_have_colours_and_words(client):
 
 def test_another_exposure_and_work_at_the_rig_begin_the_lamps_anew():
     lamps = RigLights()
-    live = Live(Eyes(Ridges(), None, lamps=lamps), VirtualClock(), gap_s=0.0)
+    live = Live(Eyes(Ridges(), None, lamps=lambda: lamps), VirtualClock(), gap_s=0.0)
     for exposure_s in (0.003, 0.003, 0.004):
         live.look(exposure_s, 1.0)
     assert lamps.forgot == 1

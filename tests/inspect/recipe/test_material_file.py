@@ -161,7 +161,6 @@ def recipe_with(make_recipe, tmp_path):
     import tomli_w
 
     from anisoscope.kinds.ridges.recipe import RidgeRecipe
-    from anisoscope.recipe.surface import read_surface_recipe
 
     def build(name="abs.toml", table=None, **changes):
         write_material_file(file(**changes), tmp_path / "abs.toml")
@@ -169,7 +168,7 @@ def recipe_with(make_recipe, tmp_path):
         content["material"] = name if table is None else table
         path = tmp_path / "recipe.toml"
         path.write_text(tomli_w.dumps(content))
-        return read_surface_recipe(path, RidgeRecipe)
+        return RidgeRecipe.read(path)
 
     return build
 

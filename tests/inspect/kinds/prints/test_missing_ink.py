@@ -12,7 +12,7 @@ from anisoscope.kinds.prints.causes import explain_print
 from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.missing_ink import without_ink
 from anisoscope.kinds.prints.model import State
-from anisoscope.kinds.prints.recipe import read_print_recipe
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.parameters.geometry import Convention
 from anisoscope.record.verdict import Verdict
@@ -102,7 +102,7 @@ def test_an_unprinted_sheet_on_the_rig(print_rig):
     assert (again.differences, again.notes) == ((), ())
     recipe_path = print_rig.folder / "print" / "recipe.toml"
     with pytest.raises(CalibrationError, match="hardly anything is printed there"):
-        GoldenPrints.with_inspection(None, read_print_recipe(recipe_path), record)
+        GoldenPrints.with_inspection(None, PrintRecipe.read(recipe_path), record)
     assert not golden_path(recipe_path).exists()
 
 

@@ -16,10 +16,10 @@ from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import (
+    PrintRecipe,
     PrintTolerances,
     PrintUncertainty,
     new_print_recipe,
-    read_print_recipe,
 )
 from anisoscope.kinds.prints.recipe_check import (
     as_predicted,
@@ -28,7 +28,8 @@ from anisoscope.kinds.prints.recipe_check import (
     sparkles,
 )
 from anisoscope.kinds.prints.sources import of_poses
-from anisoscope.kinds.registry import kind_of, read_any_recipe, read_recipe
+from anisoscope.kinds.recipes import read_any_recipe
+from anisoscope.kinds.registry import kind_of, read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe, new_recipe
 from anisoscope.operations.demo.prints import rig_of
 from anisoscope.parameters.geometry import Convention
@@ -75,7 +76,7 @@ def test_commands_for_surfaces_refuse_it(written):
 
 def test_an_ink_file_counts_from_the_recipe(written, tmp_path):
     write_ink(synthetic_ink("synthetic-blue"), tmp_path / "mine.toml")
-    recipe = read_print_recipe(written('ink = "synthetic-green"', 'ink = "mine.toml"'))
+    recipe = PrintRecipe.read(written('ink = "synthetic-green"', 'ink = "mine.toml"'))
     assert Path(recipe.print.ink) == tmp_path / "mine.toml"
     assert recipe.print.read_ink().name == "synthetic blue"
 
@@ -101,7 +102,7 @@ def test_a_broken_ink_is_named_with_the_recipe_and_its_key(written, tmp_path, ol
         ("infrared.toml", "at least 400 to 700 nm are needed"),
     ):
         with pytest.raises(InkFileError, match=rf"recipe\.toml: {key}: .*{ink}: .*{says}"):
-            read_print_recipe(written(old, new.replace("{ink}", ink)))
+            PrintRecipe.read(written(old, new.replace("{ink}", ink)))
 
 
 @pytest.mark.parametrize(
@@ -123,13 +124,13 @@ def test_a_broken_ink_is_named_with_the_recipe_and_its_key(written, tmp_path, ol
 )
 def test_mistakes_are_named(written, old, new, says):
     with pytest.raises(RecipeError, match=says):
-        read_print_recipe(written(old, new))
+        PrintRecipe.read(written(old, new))
 
 
 def test_two_inks_of_one_name_cannot_be_told_apart(written, tmp_path):
     write_ink(synthetic_ink("synthetic-red"), tmp_path / "mine.toml")
     with pytest.raises(RecipeError, match="two of its inks are called 'synthetic red'"):
-        read_print_recipe(
+        PrintRecipe.read(
             written('wrong_inks = ["synthetic-red"]', 'wrong_inks = ["synthetic-red", "mine.toml"]')
         )
 

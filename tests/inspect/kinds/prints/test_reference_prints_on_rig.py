@@ -19,7 +19,7 @@ from anisoscope.kinds.prints import rig_ink
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
-from anisoscope.kinds.prints.recipe import read_print_recipe
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.operations.inks import calibrate_ink
 from anisoscope.operations.teaching import teach
@@ -32,7 +32,7 @@ GOOD = {"alpha": 0.01, "ratio": 0.01, "skew": 0.01, "tilt_x_deg": 0.1, "tilt_y_d
 
 def filled(recipe_path, rig_path, count):
     """The set with so many prints that vary as good prints do about the one that was inspected."""
-    recipe, rig = read_print_recipe(recipe_path), read_rig(rig_path)
+    recipe, rig = PrintRecipe.read(recipe_path), read_rig(rig_path)
     known = read_golden_prints(golden_path(recipe_path), recipe, rig)
     scene, rng = expectation_of_print(recipe, rig).scene, np.random.default_rng(2)
     slopes = np.stack([GOOD[name] * scene.slope(name, State()) for name in PARAMETERS], axis=-1)
@@ -53,12 +53,12 @@ def refused(recipe_path, rig_path, match):
 
 def check_that_they_teach(recipe_path, rig_path, capsys):
     """The tolerances become those that the golden prints teach; all else stays."""
-    before, limits = recipe_path.read_text(), read_print_recipe(recipe_path).tolerances
+    before, limits = recipe_path.read_text(), PrintRecipe.read(recipe_path).tolerances
     with pytest.raises(UsageError, match="name a good part with --serial, or --golden"):
         teach(recipe_path, rig_path)
     assert run(["recipe", "teach", str(recipe_path), "--rig", str(rig_path), "--golden", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    taught = read_print_recipe(recipe_path)
+    taught = PrintRecipe.read(recipe_path)
     assert (taught.version, told["folder"]) == (2, None)
     assert recipe_path.with_name("recipe.v1.toml").read_text() == before
     for change in told["changes"]:
@@ -74,7 +74,7 @@ def check_that_they_teach(recipe_path, rig_path, capsys):
 def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, good_print, capsys):
     done = good_print
     recipe_path, rig_path = (print_rig.folder / "print" / f"{name}.toml" for name in ("recipe", "rig"))
-    path, recipe = golden_path(recipe_path), read_print_recipe(recipe_path)
+    path, recipe = golden_path(recipe_path), PrintRecipe.read(recipe_path)
     assert command.add(done.folder, recipe=recipe_path) == 0
     assert "1 added, 1 golden print\n" in capsys.readouterr().out
     assert command.show(recipe=recipe_path, json_=True) == 0

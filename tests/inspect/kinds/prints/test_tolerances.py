@@ -10,7 +10,7 @@ from anisoscope.inspection.teach import teach
 from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.model import State
-from anisoscope.kinds.prints.recipe import read_print_recipe
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.record import PrintDetails
 from anisoscope.kinds.prints.sources import total
 from anisoscope.kinds.prints.tolerances import (
@@ -31,7 +31,7 @@ def test_a_good_print_teaches_its_recipe(print_rig, plain):
     recipe_path, rig_path = print_rig.lay_out({}, recipe=untaught)
     before = recipe_path.read_text()
     found = teach(recipe_path, rig_path, "GOOD-1", print_rig.folder / "inspections", methods=plain)
-    recipe, record = read_print_recipe(recipe_path), read_record(found.folder)
+    recipe, record = PrintRecipe.read(recipe_path), read_record(found.folder)
     assert (recipe.version, found.version, found.kept.read_text()) == (2, 2, before)
     # the sheet is 2.4 mm wide; a cell of 0.2 mm stays away from its edge
     assert recipe.region.size_mm[0] == recipe.region.size_mm[1]

@@ -18,7 +18,7 @@ from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
-from anisoscope.kinds.prints.recipe import read_print_recipe
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.tolerances import golden_tolerances
 from anisoscope.rig.rigfile import read_rig
@@ -60,7 +60,7 @@ def inspected(rig, name, defects, rng, *, recipe, golden=None):
     if golden is not None:
         write_golden(golden_path(recipe_path), golden)
     record = inspect_part(recipe_path, rig_path, name, rig.folder / "inspections", methods=rig.methods).record
-    return record, read_print_recipe(recipe_path), read_rig(rig_path)
+    return record, PrintRecipe.read(recipe_path), read_rig(rig_path)
 
 
 @pytest.mark.statistics

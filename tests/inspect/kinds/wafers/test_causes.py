@@ -19,7 +19,6 @@ from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.parameters.etching import PatternOptions
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.files.load import write_height_map
-from anisoscope.recipe.surface import read_surface_recipe
 from anisoscope.sim.bench.wafer import build_wafer
 from anisoscope.sim.bench.waferpart import WaferPart
 from anisoscope.sim.design.depths import design_depths
@@ -40,7 +39,7 @@ def recipe(tmp_path_factory):
         table = demo_wafer.recipe()
         table["uncertainty"]["step_edges_nm"] = 0.0  # which hide small widths
         (folder / "recipe.toml").write_text(tomli_w.dumps(table))
-    return read_surface_recipe(folder / "recipe.toml", WaferRecipe)
+    return WaferRecipe.read(folder / "recipe.toml")
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +130,7 @@ def two_passes(tmp_path_factory):
     table["poses"]["tilts_deg"] = [0.0, 2.0, 3.0, 6.0]
     table["uncertainty"]["step_edges_nm"] = 0.0
     (folder / "recipe.toml").write_text(tomli_w.dumps(table))
-    return read_surface_recipe(folder / "recipe.toml", WaferRecipe), layout.window(), 1e-3 * np.array(passes)
+    return WaferRecipe.read(folder / "recipe.toml"), layout.window(), 1e-3 * np.array(passes)
 
 
 @pytest.mark.parametrize("wrong", OFF)

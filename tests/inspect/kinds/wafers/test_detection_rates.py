@@ -21,7 +21,6 @@ from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.files.load import read_height_map, write_height_map
-from anisoscope.recipe.surface import read_surface_recipe
 from anisoscope.sim.bench.wafer import build_wafer
 from anisoscope.sim.bench.waferpart import WaferPart
 from anisoscope.sim.design.depths import design_depths
@@ -79,7 +78,7 @@ class World:
         table["uncertainty"]["step_edges_nm"] = 0.0  # known, as between wafers that have the same
         (folder / "recipe.toml").write_text(tomli_w.dumps(table))
         self.file = folder / "wafer.npz"
-        self.recipe = read_surface_recipe(folder / "recipe.toml", WaferRecipe)
+        self.recipe = WaferRecipe.read(folder / "recipe.toml")
         self.expected = expectation(self.recipe, 0.0, OPTICS)
 
     def p_value(self, file=None, **wrong):

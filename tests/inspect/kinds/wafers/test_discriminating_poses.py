@@ -24,7 +24,6 @@ from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.operations.demo import wafers as demo_wafer
 from anisoscope.prediction.expectation import expectation
-from anisoscope.recipe.surface import read_surface_recipe
 from anisoscope.record.schema import CauseRecord
 
 DEPTHS = ("over-etch", "under-etch")
@@ -41,7 +40,7 @@ def recipe(tmp_path_factory):
         table = demo_wafer.recipe()
         table["uncertainty"]["step_edges_nm"] = 0.0  # which hide small widths
         (folder / "recipe.toml").write_text(tomli_w.dumps(table))
-    return read_surface_recipe(folder / "recipe.toml", WaferRecipe)
+    return WaferRecipe.read(folder / "recipe.toml")
 
 
 @pytest.fixture(scope="module")

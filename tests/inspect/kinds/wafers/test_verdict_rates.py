@@ -24,7 +24,6 @@ from anisoscope.kinds.wafers.kind import OPTICS, WaferSet
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.operations.demo import wafers as demo
 from anisoscope.prediction.expectation import Component, expectation
-from anisoscope.recipe.surface import read_surface_recipe
 
 PAGE = Path(__file__).parents[4] / "docs" / "evidence" / "wafers.md"
 BEGIN, END = "<!-- table of verdicts: begin -->", "<!-- table of verdicts: end -->"
@@ -177,10 +176,10 @@ class World:
             demo.write_tile(folder, self.rng)
             table = demo.recipe()
         (folder / "recipe.toml").write_text(tomli_w.dumps(table))
-        self.recipe = read_surface_recipe(folder / "recipe.toml", WaferRecipe)
+        self.recipe = WaferRecipe.read(folder / "recipe.toml")
         table["decision"] |= {"tolerance": [TOLERANCE] * 4}
         (folder / "tolerance.toml").write_text(tomli_w.dumps(table))
-        self.tolerance = read_surface_recipe(folder / "tolerance.toml", WaferRecipe)
+        self.tolerance = WaferRecipe.read(folder / "tolerance.toml")
         self.expected = expectation(self.recipe, 0.0, OPTICS)
         with np.load(folder / "tile.npz") as file:
             height, pixel = file["height_um"], float(file["pixel_um"][1])
