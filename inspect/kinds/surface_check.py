@@ -128,9 +128,9 @@ class SurfaceCheck(RecipeCheck):
 
     def notes(self) -> tuple[str, ...]:
         """Causes left out, and what further tilts or lamps would separate."""
-        lines = [f"not examined: {cause}: {reason}" for cause, reason in self.left_out]
+        lines = [f"not examined: {_named(cause)}: {reason}" for cause, reason in self.left_out]
         for one in self.advice:
-            benefits = [f"show {', '.join(one.shows)}"] if one.shows else []
+            benefits = [f"show {', '.join(map(_named, one.shows))}"] if one.shows else []
             benefits += [f"distinguish {_apart(one.tells_apart)}"] if one.tells_apart else []
             lines.append(f"an additional tilt of {one.tilt_deg:g}° would {' and '.join(benefits)}")
         lines += [f"{one.says} would distinguish {_apart(one.tells_apart)}" for one in self.lamps]
@@ -259,7 +259,7 @@ def _marks(causes: tuple[Separability, ...]) -> str:
     for one in causes:
         if one.group != "area":
             continue
-        name, extent = one.cause.replace("-", " "), one.detection_extent
+        name, extent = _named(one.cause), one.detection_extent
         if extent is None:
             found.append(f"no {name}")
             continue
@@ -434,4 +434,9 @@ MOST_PAIRS = 6
 def _apart(pairs: Sequence[tuple[str, str]]) -> str:
     """Pairs of causes in words; of many the first."""
     more = f" and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
-    return ", ".join(f"{a} from {b}" for a, b in pairs[:MOST_PAIRS]) + more
+    return ", ".join(f"{_named(a)} from {_named(b)}" for a, b in pairs[:MOST_PAIRS]) + more
+
+
+def _named(cause: str) -> str:
+    """Name of a cause in a sentence."""
+    return cause.replace("-", " ")

@@ -59,8 +59,8 @@ def write_line(text: str) -> None:
     print_lines(plain(text))
 
 
-def _local(moment: "datetime") -> str:
-    return moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
+def _local(moment: "datetime", *, zone: bool = False) -> str:
+    return moment.astimezone().strftime("%Y-%m-%d %H:%M:%S %Z" if zone else "%Y-%m-%d %H:%M:%S")
 
 
 def print_history(
@@ -196,7 +196,7 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
     facts = {
         "inspection": str(row.id) if row.id else message("in no history"),
         "serial": row.serial,
-        "time": _local(row.created_at),
+        "time": _local(row.created_at, zone=True),
         "recipe": row.recipe,
     }
     facts |= {**details, "software": row.software, "folder": f"{row.folder} ({translated(folder)})"}
@@ -208,7 +208,7 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
     for one in decided:
         comment = f": {one.comment}" if one.comment else ""
         decision = message("{decision} by {name}", decision=one.decision, name=one.reviewer)
-        write_line(f"{_local(one.created_at)} {decision}{comment}")
+        write_line(f"{_local(one.created_at, zone=True)} {decision}{comment}")
 
 
 def _folder_state(row: "Row") -> "tuple[str, Record | None, ConclusionRecord | None]":
