@@ -298,10 +298,13 @@ def test_on_paper_nothing_is_cut_off_and_the_still_picture_stands_for_the_3d_vie
     assert len(told) > 10_000
 
 
-@pytest.mark.parametrize("width", [360, 800, 1600])
+@pytest.mark.parametrize("width", [360, 800, 1280, 1600])
 def test_nothing_overflows_sideways(shown, report, width):
     shown.open((report[0] / "report.html").as_uri(), width=width)
     assert shown.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    if width >= 1280:
+        cut = "[...document.querySelectorAll('.wide')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+        assert shown.evaluate(f"{cut}.map(e => e.textContent.slice(0, 60))") == []
 
 
 def spoiled(value, keep):
