@@ -17,7 +17,7 @@ from anisoscope.base import crash
 from anisoscope.base.crash import Steady
 from anisoscope.base.errors import NotConnected, RecordError, UsageError
 from anisoscope.console.station import Station
-from anisoscope.history import signs
+from anisoscope.history import signs, store
 from anisoscope.inspection import archive as archives
 from anisoscope.inspection.batch import run as batches
 from anisoscope.inspection.batch import watch as watching
@@ -170,7 +170,7 @@ def mqtt_of(tmp_path, monkeypatch, callback, thrower):
 def signs_of(tmp_path, monkeypatch, callback, thrower):
     """The thread that gives signs of a station."""
     complain = thrower if callback == "operator" else lambda _: None
-    monkeypatch.setattr(signs, "open_history", thrower if callback == "history" else Thrower(10**9))
+    monkeypatch.setattr(store, "open_history", thrower if callback == "history" else Thrower(10**9))
     beacon = signs.Beacon(tmp_path / "h.sqlite", "north", complain, beat_s=0.0)
     return beacon._run, beacon._over.set
 

@@ -244,7 +244,6 @@ SAME_QUANTITY = {
     "--model": "model",  # of the reflected light
     "--open": "encryption",  # of orders from other computers
     "--out": "file|folder|page|record|write|png",  # the command's own product
-    "--overwrite": "replace",
     "--picture-size": "side of the picture",
     "--pixel": "pixel size",
     "--plot": "picture",
