@@ -5,6 +5,7 @@ import sqlite3
 import pytest
 
 from anisoscope import cli
+from anisoscope.history import store
 from anisoscope.history.problems import HistoryError
 from anisoscope.history.rows import seal_of
 from anisoscope.history.store import History, open_history
@@ -184,7 +185,7 @@ def test_what_waits_for_a_history_enters_with_the_next_inspection(judged, inspec
         raise HistoryError("the server is away")
 
     with monkeypatch.context() as patch:
-        patch.setattr(remembering, "open_history", away)
+        patch.setattr(store, "open_history", away)
         for moment in (0.0, 59.0, 61.0):
             now[0] = 1000.0 + moment
             code, err, _ = inspect_on(judged, "--history", str(place))
