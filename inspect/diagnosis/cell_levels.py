@@ -1,13 +1,12 @@
-"""Levels of the cells of a predicted contrast map: the share that deviates follows for the thresholds of any part.
+"""Levels of the cells of a predicted map: the share that deviates follows for the scatter of the cells of any part.
 
-Thresholds are those of the part, and its good cells scatter more than those of a smooth predicted surface. Signatures
-therefore state by how much their cells deviate, in levels.
+Cells of a part deviate by D² in the scatter of its good ones, which is more than that of a smooth predicted surface.
+Signatures therefore state by how much the ln L of their cells deviates in every pose, in levels.
 
 A camera smears a picture: its lens, its pixels, and what resamples them put some of the light of a cell into its
 neighbours, and a grain that is much smaller than a cell is hidden by it. Levels are stated for several smears.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -16,12 +15,13 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.imaging.defect_regions import MarkForm, form_of
+from anisoscope.imaging.deviation_map import MOST_LOG, CellScatter
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 
-STEP = 0.025
-"""Ln ratio between two levels; thresholds are rounded to it."""
-HIGHEST = 80
-"""A ln ratio of 2: what deviates by more counts as this."""
+STEP = 0.0125
+"""Deviation of ln L between two levels."""
+HIGHEST = 127
+"""What deviates by more counts as this."""
 SMEARS = (0.0, 0.08, 0.16)
 """Standard deviations in pitches of what smears the pictures for which levels are stated."""
 SMEAR_PX = 0.64
@@ -33,45 +33,11 @@ U_SMEAR = 0.2
 
 NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
 MIN_NEIGHBOURS = 3
-SCATTERS = 5.0  # robust standard deviations by which a cell may be off its flank
-LEAST_DEVIATION = 0.05  # what registration and the edges of cells leave
-
-
-def cell_thresholds(ratios: FloatArray) -> FloatArray:
-    """(pairs,) ln ratios that the texture of a predicted surface sets: `SCATTERS` times its scatter about the flanks.
-
-    Args:
-        ratios: (pairs, cell rows, cell cols) ln ratios.
-    """
-    off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).reshape(len(ratios), -1)
-    scatter = 1.4826 * np.median(off, axis=1)  # of normal values: their standard deviation
-    return np.asarray(np.maximum(SCATTERS * scatter, LEAST_DEVIATION))
-
-
-def cell_deviations(ratios: FloatArray, thresholds: FloatArray | float) -> FloatArray:
-    """Deviation of every cell from the value expected at its place.
-
-    Each line of cells (a column) runs along one flank of one ridge, so its median is the value of that flank, and
-    marks stand out against it. A whole line that differs by more than its threshold from the same flank of the
-    neighbouring ridges belongs to a missing or deformed ridge: all of it deviates. Smaller differences between lines
-    come from where the raster cuts the flanks, and are ignored.
-
-    Args:
-        ratios: (pairs, cell rows, cell cols) ln ratios, `CELLS_PER_PITCH` columns a pitch.
-        thresholds: (pairs,), or one of all.
-
-    Returns:
-        The same shape.
-    """
-    lines = np.median(ratios, axis=1)
-    off_lines = lines - _same_flank(lines)
-    whole = np.where(np.abs(off_lines) > np.reshape(thresholds, (-1, 1)), off_lines, 0.0)
-    return np.asarray(ratios - lines[:, None, :] + whole[:, None, :])
 
 
 def _same_flank(lines: FloatArray) -> FloatArray:
-    """(pairs, cols) median of the same flank on the neighbouring ridges; the line itself where these are too few."""
-    pairs, cols = lines.shape
+    """(P, cols) median of the same flank on the neighbouring ridges; the line itself where these are too few."""
+    poses, cols = lines.shape
     steps = CELLS_PER_PITCH * np.array([j for j in range(-NEIGHBOURS, NEIGHBOURS + 1) if j])
     at = np.arange(cols)[:, None] + steps
     inside = (at >= 0) & (at < cols)
@@ -80,7 +46,7 @@ def _same_flank(lines: FloatArray) -> FloatArray:
     found = lines.copy()
     if countable.any():
         found[:, countable] = _median_of_known(neighbours[:, countable])
-    assert found.shape == (pairs, cols)
+    assert found.shape == (poses, cols)
     return found
 
 
@@ -96,41 +62,44 @@ def _median_of_known(values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class CellLevels:
-    """To which levels the cells of a contrast map deviate.
+    """To which levels the cells of a map deviate.
+
+    Each line of cells (a column) runs along one flank of one ridge, so its median is the value of that flank, and
+    marks stand out against it. A whole line that deviates from the same flank of the neighbouring ridges belongs to a
+    missing or deformed ridge: all of it deviates. Smaller differences between lines come from where the raster cuts the
+    flanks, and are ignored.
 
     Attributes:
-        levels: (U, 3, pairs) of cells that are alike: deviation of the cell from its line, of the line from the same
-            flank of other ridges, and of the cell from these; in `STEP`, rounded down, at most `HIGHEST`.
-        places: (cell rows, cell cols) which of them every cell is.
+        alone: (P, cell rows, cell cols) deviation of the cell from its line, in `STEP`, at most `HIGHEST`.
+        lines: (P, cell cols) of the line from the same flank of other ridges.
     """
 
-    levels: npt.NDArray[np.uint8]
-    places: npt.NDArray[np.uint16]
+    alone: npt.NDArray[np.int8]
+    lines: npt.NDArray[np.int8]
 
     @classmethod
-    def of(cls, ratios: FloatArray) -> "CellLevels":
-        """Levels of a contrast map: (pairs, cell rows, cell cols) ln ratios."""
-        alone, whole = cell_deviations(ratios, np.inf), cell_deviations(ratios, 0.0)
-        each = np.stack([alone, np.broadcast_to(whole - alone, alone.shape), whole])
-        levels = np.minimum(np.abs(each) / STEP, HIGHEST).astype(np.uint8)
-        pairs = len(ratios)
-        found, places = np.unique(levels.reshape(3 * pairs, -1).T, axis=0, return_inverse=True)
-        return cls(found.reshape(-1, 3, pairs), places.reshape(ratios.shape[1:]).astype(np.uint16))
+    def of(cls, logs: FloatArray, per_cell: int) -> "CellLevels":
+        """Levels of a map: (P, rows, cols) ln L, ``per_cell`` rows and columns a cell."""
+        along = np.median(logs, axis=1)
+        off = np.clip(logs - along[:, None, :], -MOST_LOG, MOST_LOG)
+        lines = along.reshape(len(along), -1, per_cell).mean(axis=2)
+        rows, cols = (size // per_cell for size in logs.shape[1:])
+        alone = off.reshape(-1, rows, per_cell, cols, per_cell).mean(axis=(2, 4))
+        return cls(_levels(alone), _levels(lines - _same_flank(lines)))
 
-    def deviating(self, thresholds: Sequence[float] | FloatArray) -> npt.NDArray[np.bool_]:
-        """(cell rows, cell cols) True where a cell deviates in some pair, by (pairs,) thresholds."""
-        least = np.clip(np.rint(np.asarray(thresholds) / STEP), 1, HIGHEST)
-        alone, line, whole = (self.levels[:, k] >= least for k in range(3))
-        return np.asarray(np.any(np.where(line, whole, alone), axis=1)[self.places])
+    def deviating(self, scatter: CellScatter) -> npt.NDArray[np.bool_]:
+        """(cell rows, cell cols) True where a cell deviates, by the scatter of good cells."""
+        alone, lines = STEP * self.alone, STEP * self.lines[:, None, :]
+        return scatter.deviating(alone + np.where(scatter.deviating(lines), lines, 0.0))
 
-    def share(self, thresholds: Sequence[float] | FloatArray) -> float:
-        """Share of the cells that deviate in some pair, by (pairs,) thresholds."""
-        return float(self.deviating(thresholds).mean())
+
+def _levels(off: FloatArray) -> npt.NDArray[np.int8]:
+    return np.clip(np.rint(off / STEP), -HIGHEST, HIGHEST).astype(np.int8)
 
 
 @dataclass(frozen=True)
 class Deviating:
-    """Cells of a predicted map that deviate by the thresholds of a part.
+    """Cells of a predicted map that deviate by the scatter of those of a part.
 
     Attributes:
         share: of all cells.
@@ -162,23 +131,17 @@ class SmearedLevels:
     each: tuple[CellLevels, ...]
 
     @classmethod
-    def of(cls, fine: FloatArray, per_cell: int, pairs: Sequence[tuple[int, int]]) -> "SmearedLevels":
-        """Levels of a map of contrasts.
-
-        Args:
-            fine: (P, rows, cols) radiances of parts of cells.
-            per_cell: parts a side of a cell.
-            pairs: of poses.
-        """
-        return cls(tuple(CellLevels.of(contrasts(fine, per_cell, pairs, one)) for one in SMEARS))
+    def of(cls, fine: FloatArray, per_cell: int) -> "SmearedLevels":
+        """Levels of a map: (P, rows, cols) radiances of parts of cells, of which a cell has ``per_cell`` a side."""
+        return cls(tuple(CellLevels.of(_logs(fine, per_cell, one), per_cell) for one in SMEARS))
 
     @property
     def cells(self) -> int:
         """Number of cells."""
-        return int(self.each[0].places.size)
+        return int(self.each[0].alone[0].size)
 
-    def deviating(self, thresholds: Sequence[float] | FloatArray, smear: float) -> Deviating:
-        """Cells that deviate by (pairs,) thresholds in a picture that is smeared by a share of the pitch.
+    def deviating(self, scatter: CellScatter, smear: float) -> Deviating:
+        """Cells that deviate by the scatter of those of a part in a picture that is smeared by a share of the pitch.
 
         Shares follow the square of the smear nearly linearly; between `SMEARS` they are interpolated.
         """
@@ -186,7 +149,7 @@ class SmearedLevels:
         place = float(np.interp(smear**2, squares, np.arange(len(SMEARS))))
         low = min(int(place), len(SMEARS) - 2)
         weight = place - low
-        less, more = (Deviating.of(one.deviating(thresholds)) for one in self.each[low : low + 2])
+        less, more = (Deviating.of(one.deviating(scatter)) for one in self.each[low : low + 2])
         return Deviating(
             (1.0 - weight) * less.share + weight * more.share,
             (1.0 - weight) * less.variance + weight * more.variance,
@@ -194,18 +157,13 @@ class SmearedLevels:
         )
 
 
-def contrasts(
-    fine: FloatArray, per_cell: int, pairs: Sequence[tuple[int, int]], smear: float = 0.0
-) -> FloatArray:
-    """(pairs, cell rows, cell cols) ln ratios of whole cells; arguments as for `SmearedLevels.of`."""
+def _logs(fine: FloatArray, per_cell: int, smear: float) -> FloatArray:
+    """(P, rows, cols) ln L of the whole cells of a map that is smeared by a share of the pitch."""
     sigma = smear * CELLS_PER_PITCH * per_cell
     seen = fine
     if sigma > 0.0:
         seen = np.stack(
             [cv2.GaussianBlur(one, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE) for one in fine]
         )
-    rows, cols = (size // per_cell for size in fine.shape[1:])
-    whole = seen[:, : rows * per_cell, : cols * per_cell]
-    means = whole.reshape(-1, rows, per_cell, cols, per_cell).mean(axis=(2, 4))
-    safe = np.maximum(means, 1e-6)
-    return np.stack([np.log(safe[i] / safe[j]) for i, j in pairs])
+    rows, cols = (size // per_cell * per_cell for size in fine.shape[1:])
+    return np.asarray(np.log(np.maximum(seen[:, :rows, :cols], 1e-6)))

@@ -27,6 +27,7 @@ from anisoscope.diagnosis.ranking import NOTHING, OTHER, PLASTIC, TIE, Diagnosis
 from anisoscope.diagnosis.rig_causes import Predict, RigFault, rig_faults
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.defect_regions import form_of
+from anisoscope.imaging.deviation_map import CellScatter
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.ridge_waves import measured_pitch
 from anisoscope.prediction.expectation import Expectation
@@ -72,7 +73,7 @@ def explain(
         known = cached_signatures(recipe, light_angle_deg, advance, causes)
         if (area := decision.area) is not None:
             smear = SMEAR_PX * measured.grid.pixel_mm * 1000.0 / recipe.surface.pitch_um
-            known = known.by_thresholds(area.cell_deviations, smear, area.cells)
+            known = known.by_scatter(CellScatter.of(area), smear, area.cells)
         evidence = evidence_of(recipe, expected, measured, decision, golden)
         if any(one.cause.scales_pitch for one in known.found):
             evidence = replace(evidence, pitch=measured_pitch(measured, recipe))

@@ -18,6 +18,7 @@ from anisoscope.diagnosis.causes import TAILS, tail_cause
 from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, SmearedLevels
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.diagnosis.tangents import Tangents
+from anisoscope.imaging.deviation_map import CellScatter
 from anisoscope.prediction.expectation import part_uncertainty
 from anisoscope.recipe.surface import SurfaceRecipe
 
@@ -118,7 +119,7 @@ def _packed(found: Signatures) -> bytes:
         "tail": found.tail is not None,
         "left_out": found.left_out,
         "share": found.share,
-        "thresholds": found.thresholds,
+        "most": found.scatter and found.scatter.most,
     }
     arrays = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -126,6 +127,8 @@ def _packed(found: Signatures) -> bytes:
     }
     if found.levels is not None:
         arrays |= _packed_levels("levels", (found.levels,))
+    if found.scatter is not None:
+        arrays["scatter"] = found.scatter.covariance
     for number, one in enumerate(every):
         arrays |= _packed_levels(f"levels{number}", one.levels or ())
         arrays |= {
@@ -143,22 +146,20 @@ def _packed(found: Signatures) -> bytes:
 
 
 def _packed_levels(name: str, levels: tuple[SmearedLevels, ...]) -> dict[str, np.ndarray]:
-    """Levels of several surfaces in three arrays; none for none."""
+    """Levels of several surfaces in two arrays; none for none."""
     if not levels:
         return {}
     each = [one for smeared in levels for one in smeared.each]
     return {
-        name: np.concatenate([one.levels for one in each]),
-        f"{name}-places": np.stack([one.places for one in each]),
-        f"{name}-size": np.array([len(one.levels) for one in each]),
+        name: np.stack([one.alone for one in each]),
+        f"{name}-lines": np.stack([one.lines for one in each]),
     }
 
 
 def _unpacked_levels(name: str, stored: Mapping[str, np.ndarray]) -> tuple[SmearedLevels, ...] | None:
     if name not in stored:
         return None
-    levels = np.split(stored[name], np.cumsum(stored[f"{name}-size"])[:-1])
-    each = tuple(map(CellLevels, levels, stored[f"{name}-places"]))
+    each = tuple(map(CellLevels, stored[name], stored[f"{name}-lines"]))
     return tuple(SmearedLevels(each[k : k + len(SMEARS)]) for k in range(0, len(each), len(SMEARS)))
 
 
@@ -183,7 +184,7 @@ def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signa
         longer = found.pop() if header["tail"] else None
         poses = recipe.poses.poses()
         (of_good,) = _unpacked_levels("levels", stored) or (None,)
-        thresholds = None if header["thresholds"] is None else tuple(header["thresholds"])
+        scatter = CellScatter(stored["scatter"], header["most"]) if "scatter" in stored else None
         return Signatures(
-            poses, stored["radiance"], header["share"], tuple(found), left_out, longer, of_good, thresholds
+            poses, stored["radiance"], header["share"], tuple(found), left_out, longer, of_good, scatter
         )

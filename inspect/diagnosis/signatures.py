@@ -22,16 +22,10 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import TAIL, Cause, all_causes, tail_cause
-from anisoscope.diagnosis.cell_levels import (
-    U_SMEAR,
-    USUAL_SMEAR,
-    SmearedLevels,
-    cell_deviations,
-    cell_thresholds,
-    contrasts,
-)
+from anisoscope.diagnosis.cell_levels import STEP, U_SMEAR, USUAL_SMEAR, SmearedLevels
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.defect_regions import MarkForm, form_of
+from anisoscope.imaging.deviation_map import CellScatter
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.material import Material
@@ -54,7 +48,6 @@ from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import ridges
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import directions, seating_rotation
 from anisoscope.sim.light.relief import Relief, radiance_maps, radiance_of_cells
 from anisoscope.sim.light.threads import each
@@ -91,7 +84,7 @@ class Signature:
         forms: (S, 3) `MarkForm.in_line`, ``along`` and ``aligned`` of the deviating cells; NaN where none deviates,
             None without a map.
         u_share: (S,) standard uncertainty of the share, by the number of marks and the smear of the picture; None
-            before thresholds are known.
+            before the scatter of its cells is known.
     """
 
     cause: Cause
@@ -145,15 +138,15 @@ class Signature:
         change = self.change[:, list(poses)]
         return replace(self, change=change, tangents=tangents, levels=None, forms=None, u_share=None)
 
-    def by_thresholds(
-        self, good_share: float, thresholds: Sequence[float], smear: float, cells: int | None
+    def by_scatter(
+        self, good_share: float, scatter: CellScatter, smear: float, cells: int | None
     ) -> "Signature":
-        """The same with the shares that (pairs,) thresholds of a part give, beyond that of the good part."""
+        """The same with the shares that the scatter of the cells of a part gives, beyond that of the good part."""
         if self.levels is None:
             return self
-        found = [one.deviating(thresholds, smear) for one in self.levels]
+        found = [one.deviating(scatter, smear) for one in self.levels]
         sharper, softer = (
-            np.array([one.deviating(thresholds, (1.0 + step) * smear).share for one in self.levels])
+            np.array([one.deviating(scatter, (1.0 + step) * smear).share for one in self.levels])
             for step in (-U_SMEAR, U_SMEAR)
         )
         # marks are counted on this map, and once more on the part
@@ -189,8 +182,8 @@ class Signatures:
         tail: signature of a lobe with another tail, which is no cause but a sign of another plastic; None if not
             computed.
         levels: of the cells of the good part; None where no map was predicted.
-        thresholds: (pairs,) that the cells of a height map set by their own texture, without noise; None where the
-            recipe states its threshold, and for a design, which has no texture.
+        scatter: of the cells of a height map by their own texture, without noise; None without a map, and for a
+            design, which has no texture.
     """
 
     poses: tuple[Pose, ...]
@@ -200,22 +193,22 @@ class Signatures:
     left_out: tuple[tuple[str, str], ...]
     tail: Signature | None = None
     levels: SmearedLevels | None = None
-    thresholds: tuple[float, ...] | None = None
+    scatter: CellScatter | None = None
 
-    def by_thresholds(
-        self, thresholds: Sequence[float] | None, smear: float = USUAL_SMEAR, cells: int | None = None
+    def by_scatter(
+        self, scatter: CellScatter | None, smear: float = USUAL_SMEAR, cells: int | None = None
     ) -> "Signatures":
-        """The same with the shares that the thresholds of a part give.
+        """The same with the shares that the scatter of the cells of a part gives.
 
         Args:
-            thresholds: (pairs,) of the part.
+            scatter: of the good cells of the part.
             smear: standard deviation in pitches of what smears its pictures.
             cells: number of its cells, among which its marks are counted; None: infinitely many.
         """
-        if self.levels is None or thresholds is None:
+        if self.levels is None or scatter is None:
             return self
-        share = self.levels.deviating(thresholds, smear).share
-        found = tuple(one.by_thresholds(share, thresholds, smear, cells) for one in self.found)
+        share = self.levels.deviating(scatter, smear).share
+        found = tuple(one.by_scatter(share, scatter, smear, cells) for one in self.found)
         return replace(self, share=share, found=found)
 
     def of(self, poses: Sequence[int]) -> "Signatures":
@@ -271,8 +264,8 @@ def signatures(
             tail = _signature(scene, tail_cause(recipe.material.material().tail), good)
     advance("signatures", len(causes), len(causes))
     share = 0.0 if good.share is None else good.share
-    thresholds = None if good.levels is None or scene.design is not None else good.thresholds
-    return Signatures(scene.poses, good.radiance, share, found, left_out, tail, good.levels, thresholds)
+    scatter = None if good.levels is None or scene.design is not None else good.scatter
+    return Signatures(scene.poses, good.radiance, share, found, left_out, tail, good.levels, scatter)
 
 
 def causes_of(recipe: SurfaceRecipe) -> tuple[Cause, ...]:
@@ -309,12 +302,12 @@ def changes_at(
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """(P,) radiances of a surface, and share, levels and thresholds of the cells of its contrast map, if predicted."""
+    """(P,) radiances of a surface, and share, levels and scatter of the cells of its map, if predicted."""
 
     radiance: FloatArray
     share: float | None = None
     levels: SmearedLevels | None = None
-    thresholds: tuple[float, ...] | None = None
+    scatter: CellScatter | None = None
     form: MarkForm | None = None
 
 
@@ -525,14 +518,12 @@ class _Scene:
 
     def _deviating(
         self, cells: FloatArray, per_cell: int
-    ) -> tuple[float, SmearedLevels, tuple[float, ...], MarkForm | None]:
-        """Share of deviating cells, their levels, the thresholds that the surface itself sets, and form."""
-        pairs = consecutive_pairs(self.poses)
-        ratios = contrasts(cells, per_cell, pairs)
-        thresholds = cell_thresholds(ratios)
-        over = np.any(np.abs(cell_deviations(ratios, thresholds)) > thresholds[:, None, None], axis=0)
-        levels = SmearedLevels.of(cells, per_cell, pairs)
-        return float(np.mean(over)), levels, tuple(map(float, thresholds)), form_of(over)
+    ) -> tuple[float, SmearedLevels, CellScatter, MarkForm | None]:
+        """Share of deviating cells, their levels, the scatter of those of the surface itself, and form."""
+        levels = SmearedLevels.of(cells, per_cell)
+        scatter = CellScatter.of_texture(STEP * levels.each[0].alone)
+        over = levels.each[0].deviating(scatter)
+        return float(np.mean(over)), levels, scatter, form_of(over)
 
 
 @lru_cache(maxsize=16)

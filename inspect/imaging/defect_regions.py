@@ -122,9 +122,10 @@ class MarkForm:
         in_line: share of the cells in those two neighbouring columns of a pitch that hold most: scratches and burrs
             are at the crests, dust is anywhere.
         along: share of the cells with a deviating neighbour along the ridge: burrs extend along it.
-        aligned: share of the groups that have one on each neighbouring ridge in a straight line with them, at most 45°
-            from straight across; ridges at the ends do not count. A scratch crosses ridges as a row of nicks,
-            whatever its width and depth; burrs and grains are where they are by chance.
+        aligned: share of the groups, of at most a pitch along the ridge, that have one on each neighbouring ridge in
+            a straight line with them, at most 45° from straight across, less the share by chance of so many groups;
+            ridges at the ends do not count. A scratch crosses ridges as a row of nicks, whatever its width and depth;
+            burrs and grains do not.
     """
 
     groups: int
@@ -142,24 +143,44 @@ def form_of(over: Cells) -> MarkForm | None:
     neighbour = np.zeros_like(over)
     neighbour[1:] |= over[:-1]
     neighbour[:-1] |= over[1:]
-    count, _, _, centres = cv2.connectedComponentsWithStats(over.astype(np.uint8), connectivity=8)
+    count, _, stats, centres = cv2.connectedComponentsWithStats(over.astype(np.uint8), connectivity=8)
+    short = stats[1:, cv2.CC_STAT_HEIGHT] <= CELLS_PER_PITCH
     in_line = float((columns + np.roll(columns, -1)).max()) / cells
     along = np.count_nonzero(over & neighbour) / cells
-    return MarkForm(
-        count - 1, in_line, along, _aligned(np.asarray(centres[1:], dtype=np.float64), over.shape)
-    )
+    nicks = np.asarray(centres[1:][short], dtype=np.float64)
+    return MarkForm(count - 1, in_line, along, _aligned(nicks, over.shape))
 
 
 def _aligned(centres: FloatArray, shape: tuple[int, ...]) -> float:
-    """`MarkForm.aligned` of (n, 2) centres (column, row) of groups; a cell to every side is near enough."""
-    step = CELLS_PER_PITCH
-    rows, cols = shape
+    """`MarkForm.aligned` of (n, 2) centres (column, row) of groups; a cell to every side is near enough.
+
+    How many are in line by chance follows from the same groups with every ridge turned by another number of rows.
+    """
     dots = np.zeros(shape, dtype=np.uint8)
     dots[tuple(np.rint(centres).astype(int).T[::-1])] = 1
+    step = CELLS_PER_PITCH
+    columns = dots.sum(axis=0, dtype=np.intp)
+    columns = np.bincount(np.arange(len(columns)) % step, columns, step)
+    ridge = (np.arange(shape[1]) + 1 - int(np.argmax(columns + np.roll(columns, -1)))) // step
+    rows = np.arange(shape[0])[:, None]
+    turned = (
+        np.take_along_axis(dots, (rows + np.rint(part * ridge**2 * shape[0]).astype(int)) % shape[0], axis=0)
+        for part in _TURNS
+    )
+    return max(_in_line(dots) - float(np.mean([_in_line(one) for one in turned])), 0.0)
+
+
+_TURNS = (0.6180339887, 0.4142135624, 0.7320508076)  # irrational: no two ridges of a map are turned alike
+
+
+def _in_line(dots: npt.NDArray[np.uint8]) -> float:
+    """Share of the dots with one a pitch to the left and one to the right in a straight line with them."""
+    step = CELLS_PER_PITCH
+    rows, cols = dots.shape
     wide = np.asarray(cv2.dilate(dots, np.ones((3, 3), dtype=np.uint8)), dtype=np.uint8)
     near = np.pad(wide, step)
     left, right = near[:, :cols], near[:, 2 * step :]
-    lines = np.zeros(shape, dtype=np.uint8)
+    lines = np.zeros(dots.shape, dtype=np.uint8)
     for rise in range(-step, step + 1):
         lines |= left[step - rise :][:rows] & right[step + rise :][:rows]
     inner = slice(step, max(cols - step, step))

@@ -2,12 +2,13 @@
 
 Every point of the ridges is compared with the mean profile over their phase (`phase_map`), pose by pose, so that the
 pattern of the flanks, the lamp, and the level of the part are no deviation. The deviations of ln L of the P poses have
-a covariance for every part of the pitch, from most of the points themselves; D² in it has P degrees of freedom whatever
-the texture and the number of poses. A cell is judged by the mean of ln(1 + D²) of its points, against a limit from
-those of most cells of the part or of golden parts.
+a covariance, from most of the cells themselves; D² of the mean of a cell in it has P degrees of freedom whatever the
+texture and the number of poses. Its limit is from most cells of the part, or from golden parts. The mean of a cell,
+over which the texture evens out and a mark does not, shows more than the mean of the D² of its points. These show what
+leaves the mean as it is: a patch of another texture, against the calmest quarter of the part.
 
-Marks at the crests of half of the ridges are most of the points there. What a good part may scatter by is therefore
-bounded by the calmest third of the pitch, as the facets are, and so is the limit.
+Marks at the crests of half of the ridges are most of the cells there. What a good part may scatter by is therefore
+bounded by the calmest quarter of the pitch, as the facets are, and so is the limit.
 """
 
 from collections.abc import Sequence
@@ -45,9 +46,17 @@ CALM_UM = 3.0
 """Standard deviation of the average over points."""
 MOST_LOG = 1.5
 """Deviation of ln L as which a greater one counts: one grain does not decide its cell alone."""
-SCATTERS = 5.0
-"""By how many (median − 16 % quantile) of the cells a cell may be above their median."""
-LEAST_SPREAD = 0.02  # of the scores
+SCATTERS = 4.0
+"""By how many (median − 16 % quantile) of the cells the cube root of D² may be above their median."""
+LEAST_SPREAD = 0.1  # of these roots
+PATCH = 5
+"""Side in cells of the square of which the median shows a patch of another texture, and no mark that is narrower."""
+PATCH_SCATTERS = 14.0
+"""By how many (25 % − 8 % quantile) of the cells this median, of the mean ln(1 + D²) of the points, may be above the
+25 % quantile."""
+LEAST_PATCH_SPREAD = 0.02
+GLOW = 0.05
+"""Standard deviation of ln L of a cell in every pose by light of other cells that deviate."""
 LEAST_SCATTER = 0.005
 """Standard deviation of ln L that registration leaves at the least."""
 KEPT_CHANCE = 0.1
@@ -56,7 +65,7 @@ CALM_SHARE = 0.25
 """Share of the pitch that scatters least: it shows the texture of the part, whatever the rest hides."""
 WALLS = 0.035
 """Standard deviation of ln L that walls of good parts have at most besides the texture of the facets."""
-CROWDED = 1.4
+CROWDED = 1.2
 """Limit by all cells over that by the calm points from which on marks have raised it, no texture."""
 LEAST_BLUR = 0.3
 """Standard deviation in points below which an average is of one point."""
@@ -68,16 +77,66 @@ _ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
+class CellScatter:
+    """How the cells of good parts scatter, by which cells deviate.
+
+    Attributes:
+        covariance: (P, P) of the deviations of ln L.
+        most: D² in it beyond which a cell deviates.
+    """
+
+    covariance: FloatArray
+    most: float
+
+    @staticmethod
+    def of_texture(off: FloatArray) -> "CellScatter":
+        """Scatter of most of the cells of a surface that is seen or predicted without noise: (P, …) deviations."""
+        flat = off.reshape(len(off), -1)
+        covariance = _most_covariance(flat) + GLOW**2 * np.eye(len(off))
+        limit, _ = _limit(np.log1p(squares_in(covariance, flat)), len(off))
+        return CellScatter(covariance, max(float(np.expm1(limit)), _usual_limit(len(off))))
+
+    @staticmethod
+    def of(area: AreaRecord) -> "CellScatter | None":
+        """Scatter by which a part was judged; None where its cells were not, or by an earlier rule."""
+        if area.cell_covariance is None or area.limit is None:
+            return None
+        return CellScatter(np.array(area.cell_covariance), float(np.expm1(area.limit)))
+
+    @staticmethod
+    def even(threshold: float, poses: int) -> "CellScatter":
+        """Scatter that is the same in all poses, by which a ln ratio of a pair of them deviates from a threshold on."""
+        most = _usual_limit(poses)
+        return CellScatter(threshold**2 / (2.0 * (most - poses)) * np.eye(poses), most)
+
+    def deviating(self, off: FloatArray) -> npt.NDArray[np.bool_]:
+        """(…) True where (P, …) deviations of ln L are those of a cell that deviates."""
+        return squares_in(self.covariance, off) > self.most
+
+    def thresholds(self, pairs: Sequence[tuple[int, int]]) -> FloatArray:
+        """(pairs,) ln ratios of about which a cell deviates that deviates in one pair of poses alone."""
+        own, beyond = self.covariance, max(self.most - len(self.covariance), 1.0)
+        return np.array([np.sqrt(beyond * (own[i, i] + own[j, j] - 2.0 * own[i, j])) for i, j in pairs])
+
+
+def squares_in(covariance: FloatArray, off: FloatArray) -> FloatArray:
+    """(…) D² of (P, …) deviations in a (P, P) covariance."""
+    flat = off.reshape(len(off), -1)
+    return np.asarray(np.sum(flat * np.linalg.solve(covariance, flat), axis=0).reshape(off.shape[1:]))
+
+
+@dataclass(frozen=True, eq=False)
 class CellMap:
     """How the cells of a part deviate.
 
     Attributes:
-        score: (cell rows, cell cols) mean of ln(1 + D²).
+        score: (cell rows, cell cols) ln(1 + D²).
         limit: score beyond which a cell deviates, by the cells of the part.
         off: (pairs, cell rows, cell cols) deviation of the ln ratio of a pair of poses.
         thresholds: (pairs,) ln ratios of about which a cell deviates that deviates in one pair alone.
         u_score: standard uncertainty of a score against its limit.
         over: limit by all cells over that by the calmest part of the pitch; from `CROWDED` on marks hide each other.
+        covariance: (P, P) of the deviations of ln L of good cells; None in a map that was stored without it.
         signs: deviation in the poses, by which marks are named; None in a stored map.
     """
 
@@ -87,11 +146,12 @@ class CellMap:
     thresholds: FloatArray
     u_score: float
     over: float = 1.0
+    covariance: FloatArray | None = None
     signs: MarkSigns | None = None
 
     def arrays(self) -> dict[str, FloatArray | float]:
-        """What is stored of a map: all but the signs."""
-        return {name: value for name, value in vars(self).items() if name != "signs"}
+        """What is stored of a map: all that is known but the signs."""
+        return {name: value for name, value in vars(self).items() if name != "signs" and value is not None}
 
     def deviating(self) -> npt.NDArray[np.bool_]:
         """(cell rows, cell cols) True where a cell deviates."""
@@ -153,70 +213,118 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     except MeasurementError:  # no pattern to be compared with, or too few ridges
         rows, cols = pictures[0].shape
         place = np.broadcast_to((np.arange(cols) + 0.5) * pixel_um / pitch_um, (rows, cols))
-    points = _Points.of(pictures, place)
+    points = _Points.of(np.stack([np.log(np.maximum(one, 1e-9)) for one in pictures]), place)
     off = points.off(CALM_UM / pixel_um)
-    covariance, texture, calm = points.covariance(off)
+    covariance, calm = points.covariance(off)
     size = measured.cells.shape[:0:-1]
 
     def of_cells(values: Image) -> FloatArray:
         return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float64)
 
-    squares = points.distance(off, covariance)
-    logs = np.log1p(squares)
-    score = of_cells(logs)
-    alone = np.log1p(points.distance(off * calm, np.broadcast_to(texture, covariance.shape)))
-    limit, spread, over = _limits(score, (of_cells(logs * calm), of_cells(alone)), of_cells(calm))
-    beyond = (squares > np.expm1(limit)).astype(np.float32)
     cells = np.stack([of_cells(one) for one in off])
+    share = of_cells(calm)
+    known = share >= max(float(np.quantile(share, 1.0 - CALM_SHARE)), 0.5 * float(share.max()))
+    level = _Points.of(cells, of_cells(place.astype(np.float32))).off(0.0).astype(np.float64)
+    own = _cell_covariance(level, known)
+    score = np.log1p(squares_in(own, level))
+    limit, spread, over = _limits(score, known, len(cells))
+    squares = points.distance(off, covariance)
+    score = np.maximum(score, limit * _texture_share(of_cells(np.log1p(squares))))
+    beyond = (squares > np.expm1(limit)).astype(np.float32)
     poses = recipe.poses.poses()
     pairs = consecutive_pairs(poses)
-    most = max(np.expm1(limit) - len(pictures), 1.0)
     scatter = np.maximum(1.4826 * np.median(np.abs(cells), axis=(1, 2)), LEAST_SCATTER)
     noisy = float(np.mean(np.minimum(measured.cell_noise / scatter, 1.0)))
-    middles = np.median(covariance, axis=0)
     return CellMap(
         score,
         limit,
         np.stack([cells[i] - cells[j] for i, j in pairs]).astype(np.float32).astype(np.float64),
-        np.array([np.sqrt(most * (middles[i, i] + middles[j, j] - 2.0 * middles[i, j])) for i, j in pairs]),
+        CellScatter(own, float(np.expm1(limit))).thresholds(pairs),
         spread * float(np.hypot(noisy, 20.0 / np.sqrt(score.size))),
         over,
+        own,
         MarkSigns.of(cells, of_cells(beyond), of_cells(beyond * calm), poses),
     )
 
 
-def _limits(score: FloatArray, calm: Sequence[FloatArray], share: FloatArray) -> tuple[float, float, float]:
-    """Limit of the cells, their spread, and limit by all of them over that by their calm points.
+def _texture_share(logs: FloatArray) -> FloatArray:
+    """(cell rows, cell cols) texture around every cell, as a share of its limit: mean ln(1 + D²) of the points."""
+    seen = cv2.medianBlur(logs.astype(np.float32), PATCH).astype(np.float64)
+    usual, low = np.quantile(seen, [0.25, 0.08])
+    return np.asarray(seen / (usual + PATCH_SCATTERS * max(float(usual - low), LEAST_PATCH_SPREAD)))
 
-    The limit by all cells is that of the texture, unless marks have raised it far beyond that of the calm points.
+
+def _cell_covariance(cells: FloatArray, calm: npt.NDArray[np.bool_]) -> FloatArray:
+    """(P, P) covariance of the cells of a good part, of most of them and at most as the calm ones scatter.
+
+    Every pose has `GLOW` besides: light that marks throw onto cells around them deviates, but is no mark there.
+    """
+    poses = len(cells)
+    every = _most_covariance(cells.reshape(poses, -1))
+    texture = _most_covariance(cells[:, calm])
+    bounded = _at_most(every[None], texture + WALLS**2 * np.eye(poses))[0]
+    return np.asarray(bounded + GLOW**2 * np.eye(poses))
+
+
+def _limits(score: FloatArray, calm: npt.NDArray[np.bool_], poses: int) -> tuple[float, float, float]:
+    """Limit of the cells, their spread, and limit by all of them over that by the calm ones.
+
+    The limit by all cells is that of the texture, unless marks have raised it far beyond that of the calm ones.
 
     Args:
-        score: (cell rows, cell cols) mean ln(1 + D²).
-        calm: the same with 0 at all but the calm points, by the covariance of every place and by that of the texture
-            alone; the greater limit counts.
-        share: of these.
+        score: (cell rows, cell cols) ln(1 + D²).
+        calm: cells of the calmest part of the pitch.
+        poses: degrees of freedom of D².
     """
-    known = share >= max(float(np.quantile(share, 1.0 - CALM_SHARE)), 0.5 * float(share.max()))
-    part = float(share[known].mean())
-    own, spread = _limit(score, 1.0)
-    least, calm_spread = max(_limit(one[known] / share[known], part) for one in calm)
+    own, spread = _limit(score, poses)
+    least, calm_spread = _limit(score[calm], poses)
     over = own / least
     most = max(1.0, 2.0 * CROWDED - over)
     return least * min(over, most), min(spread, calm_spread), over
 
 
-def _limit(scores: FloatArray, part: float) -> tuple[float, float]:
-    """Limit of cells by scores of a part of each, and their spread."""
-    middle, low = np.quantile(scores, [0.5, 0.16])
-    spread = max(float(middle - low), LEAST_SPREAD) * np.sqrt(part)
-    return float(middle) + SCATTERS * spread, spread
+def _usual_limit(poses: int) -> float:
+    """D² beyond which a cell deviates where cells scatter normally (Wilson and Hilferty, 1931)."""
+    variance = 2.0 / (9.0 * poses)
+    return poses * float(1.0 - variance + SCATTERS * np.sqrt(variance)) ** 3
+
+
+def _limit(scores: FloatArray, poses: int) -> tuple[float, float]:
+    """Limit of cells and their spread; the cube root of D² is nearly normal (Wilson and Hilferty, 1931)."""
+    roots = np.cbrt(np.expm1(scores) / poses)
+    middle, low = np.quantile(roots, [0.5, 0.16])
+    spread = max(float(middle - low), LEAST_SPREAD)
+    limit = float(middle) + SCATTERS * spread
+    steep = 3.0 * poses * limit**2 / (1.0 + poses * limit**3)
+    return float(np.log1p(poses * limit**3)), steep * spread
+
+
+def _most_covariance(values: FloatArray) -> FloatArray:
+    """(P, P) covariance of most of (P, N) deviations from 0; those of marks are left out."""
+    from scipy.special import chdtri  # noqa: PLC0415 - start-up time
+
+    poses = len(values)
+    middle, most = chdtri(poses, 0.5), chdtri(poses, KEPT_CHANCE)
+    scale = np.maximum(1.4826 * np.median(np.abs(values), axis=1), LEAST_SCATTER)
+    scaled = values / scale[:, None]
+    kept = np.all(np.abs(scaled) < 4.0, axis=0)
+    matrix = np.eye(poses)
+    for _ in range(_ROUNDS):
+        if kept.sum() <= poses:
+            break
+        matrix = scaled[:, kept] @ scaled[:, kept].T / kept.sum() + 1e-6 * np.eye(poses)
+        squares = np.sum(scaled * np.linalg.solve(matrix, scaled), axis=0)
+        usual = max(float(np.median(squares)) / middle, 1e-3)
+        matrix *= usual
+        kept = squares < usual * most
+    return np.asarray(matrix * np.outer(scale, scale))
 
 
 def _at_most(matrices: FloatArray, most: FloatArray) -> FloatArray:
     """(B, P, P) covariances of which no direction has a greater variance than in ``most``."""
     half = np.linalg.cholesky(most)
     inverse = np.linalg.inv(half)
-    values, vectors = np.linalg.eigh(inverse @ matrices @ np.swapaxes(inverse, 1, 2))
+    values, vectors = np.linalg.eigh(inverse @ matrices @ np.swapaxes(inverse, -2, -1))
     axes = half @ vectors * np.sqrt(np.clip(values, 0.0, 1.0))[:, None, :]
     return np.asarray(axes @ np.swapaxes(axes, 1, 2))
 
@@ -238,8 +346,9 @@ class _Points:
     ends: npt.NDArray[np.intp]
 
     @staticmethod
-    def of(pictures: Sequence[Image], place: FloatArray) -> "_Points":
-        logs = np.stack([np.log(np.maximum(one, 1e-9)) for one in pictures]).astype(np.float32)
+    def of(logs: FloatArray | Image, place: FloatArray) -> "_Points":
+        """Points of (P, rows, cols) ln L at (rows, cols) places in pitches."""
+        logs = logs.astype(np.float32)
         count = int(np.clip(place.size / (BIN_POINTS * len(logs)), 1, BINS))
         fine = (np.mod(place, 1.0) * (count * FINE)).astype(np.intp) % (count * FINE)
         number = (fine // FINE).ravel()
@@ -289,37 +398,22 @@ class _Points:
                 cv2.GaussianBlur(off, (0, 0), sigma, dst=off, borderType=cv2.BORDER_REFLECT)
         return found
 
-    def covariance(self, off: Image) -> tuple[FloatArray, FloatArray, Image]:
+    def covariance(self, off: Image) -> tuple[FloatArray, Image]:
         """Covariance of the deviations in every bin, of most of its points and at most as of a good part.
 
         Returns:
-            (B, P, P) covariances, (P, P) that of the texture, and (rows, cols) 1 at the points of the bins that scatter
-            least, which show it.
+            (B, P, P) covariances, and (rows, cols) 1 at the points of the bins that scatter least, which show the
+            texture.
         """
-        from scipy.special import chdtri  # noqa: PLC0415 - start-up time
-
         poses = len(off)
         flat = off.reshape(poses, -1)
-        middle, most = chdtri(poses, 0.5), chdtri(poses, KEPT_CHANCE)
         found = np.zeros((self.bins, poses, poses))
         for number in range(self.bins):
             chosen = self._bin(number)
             values = flat[:, chosen[:: max(1, len(chosen) // _SAMPLE)]].astype(np.float64)
             if not values.size:
                 continue
-            scale = np.maximum(1.4826 * np.median(np.abs(values), axis=1), LEAST_SCATTER)
-            scaled = values / scale[:, None]
-            kept = np.all(np.abs(scaled) < 4.0, axis=0)
-            matrix = np.eye(poses)
-            for _ in range(_ROUNDS):
-                if kept.sum() <= poses:
-                    break
-                matrix = scaled[:, kept] @ scaled[:, kept].T / kept.sum() + 1e-6 * np.eye(poses)
-                squares = np.sum(scaled * np.linalg.solve(matrix, scaled), axis=0)
-                usual = max(float(np.median(squares)) / middle, 1e-3)
-                matrix *= usual
-                kept = squares < usual * most
-            found[number] = matrix * np.outer(scale, scale)
+            found[number] = _most_covariance(values)
         empty = np.diff(self.ends) == 0
         if empty.any():
             found[empty] = np.median(found[~empty], axis=0)
@@ -328,7 +422,7 @@ class _Points:
         texture, steep = found[calm].mean(axis=0), U_PLACE**2 * self._steepness()
         walls = WALLS**2 + LEAST_SCATTER**2
         bounded = _at_most(found + steep, texture + steep + walls * np.eye(poses))
-        return bounded, texture, np.repeat(calm, FINE)[self.fine].astype(np.float32)
+        return bounded, np.repeat(calm, FINE)[self.fine].astype(np.float32)
 
     def _steepness(self) -> FloatArray:
         """(B, P, P) mean products of the slopes of the profiles per pitch, over every bin and its neighbours."""
@@ -394,6 +488,7 @@ def judge_area(
         cells=over.size,
         verdict=verdict,
         cell_deviations=tuple(map(float, cells.thresholds)),
+        cell_covariance=None if cells.covariance is None else tuple(map(tuple, cells.covariance.tolist())),
         limit=cells.limit,
     )
     if rule.max_length_um is not None:

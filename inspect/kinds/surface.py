@@ -1,7 +1,7 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import MISSING, fields, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -865,9 +865,9 @@ def _measured(kept: Mapping[str, Any], slopes: FloatArray | None = None) -> Meas
         drift=None if np.isnan(drift) else drift,
         mirroring=kept.get("mirroring"),
     )
-    names = [one.name for one in fields(CellMap) if one.name != "signs"]
-    if all(f"local_{name}" in kept for name in names):
-        local = {name: np.asarray(kept[f"local_{name}"]) for name in names}
+    stored = {one: f"local_{one.name}" for one in fields(CellMap) if one.name != "signs"}
+    if all(key in kept or one.default is not MISSING for one, key in stored.items()):
+        local = {one.name: np.asarray(kept[key]) for one, key in stored.items() if key in kept}
         values: dict[str, Any] = {k: v.item() if v.ndim == 0 else v for k, v in local.items()}
         remember(found, CellMap(**values))
     if FORM in kept:

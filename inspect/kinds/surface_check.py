@@ -11,12 +11,12 @@ from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.decision import contrast_gradient
 from anisoscope.decision.surface_exclusion import parts_needed, planned_limits, remedy_text
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
-from anisoscope.diagnosis.cell_levels import LEAST_DEVIATION
 from anisoscope.diagnosis.discriminating_poses import cached_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures
+from anisoscope.imaging.deviation_map import CellScatter
 from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
@@ -238,18 +238,17 @@ def _thresholds_text(
     causes_by: Callable[[Signatures], tuple[Separability, ...]],
 ) -> str:
     """Thresholds of the cells where "auto" leaves them to every part, and the size from which they show marks."""
-    pairs = len(consecutive_pairs(known.poses))
-    if known.thresholds is not None:
-        each = ", ".join(f"{one:.2f}" for one in known.thresholds)
+    if known.scatter is not None:
+        each = ", ".join(f"{one:.2f}" for one in known.scatter.thresholds(consecutive_pairs(known.poses)))
         return (
             f"marks: by the texture of the height map cells deviate beyond a ln ratio of about {each} (one a pair of "
             f"angles; more where noise scatters them), which shows {_marks(causes)}"
         )
-    even = causes_by(known.by_thresholds([LEAST_DEVIATION] * pairs))
+    even = causes_by(known.by_scatter(CellScatter.even(0.05, len(known.poses))))
     return (
         "marks: from which ln ratio on cells deviate is not known yet, because a design has no texture, and every part "
         f"sets its own limit by what its points scatter; {MOST_DEVIATION:g} is assumed here, which shows "
-        f"{_marks(causes)}; at {LEAST_DEVIATION:g} it would be {_marks(even)}. The first inspection states it"
+        f"{_marks(causes)}; at 0.05 it would be {_marks(even)}. The first inspection states it"
     )
 
 
@@ -269,11 +268,11 @@ def _marks(causes: tuple[Separability, ...]) -> str:
 
 
 def _with_texture(known: Signatures) -> Signatures:
-    """Signatures whose cells deviate by the thresholds of the height map, or of a design beyond `MOST_DEVIATION`.
+    """Signatures whose cells deviate by the scatter of the height map, or of a design beyond `MOST_DEVIATION`.
 
     How the cells of good parts scatter is not known of a design before one is photographed.
     """
-    return known.by_thresholds(known.thresholds or [MOST_DEVIATION] * len(consecutive_pairs(known.poses)))
+    return known.by_scatter(known.scatter or CellScatter.even(MOST_DEVIATION, len(known.poses)))
 
 
 def second_lamps_for(

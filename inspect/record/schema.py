@@ -193,7 +193,8 @@ class AreaRecord(_Part):
     """The contrast map judged: share of its cells that deviate, and the standard uncertainty of that share.
 
     ``limit`` is the score beyond which a cell deviates; None where cells were judged by one ln ratio, or of a print.
-    ``cell_deviations`` are ln ratios, one a pair, from about which on a cell deviates that does so in this pair alone.
+    ``cell_deviations`` are ln ratios, one a pair, from about which on a cell deviates that does so in this pair alone;
+    ``cell_covariance`` is the (P, P) covariance of ln L of good cells, in which exp(limit) − 1 is the greatest D².
     ``learnt`` if ``max_share`` is that of golden parts, ``p_value`` the chance that a part like them shows as much.
     ``longest_um`` is the length of the longest group of clearly deviating cells, ``longest_at`` its place in mm; both
     None where ``max_length_um``, its limit, is.
@@ -207,6 +208,7 @@ class AreaRecord(_Part):
     learnt: bool = False
     p_value: float | None = None
     cell_deviations: tuple[float, ...] | None = None
+    cell_covariance: tuple[tuple[float, ...], ...] | None = None
     limit: float | None = None
     longest_um: float | None = None
     longest_at: tuple[float, float] | None = None

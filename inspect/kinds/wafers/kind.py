@@ -16,9 +16,7 @@ from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.imaging.defect_regions import find_regions
 from anisoscope.imaging.deviation_map import (
     LEAST_SCATTER,
-    LEAST_SPREAD,
     MOST_LOG,
-    SCATTERS,
     CellMap,
     judge_area,
 )
@@ -171,6 +169,9 @@ LEAST_TILES = 5
 """Tiles from which on their median is that of good ones, though two of them are marked at the same place."""
 BY_CHANCE = 1e-5
 """Probability of a cell with the stated least scatter to exceed the limit."""
+SCATTERS = 5.0
+"""By how many (median − 16 % quantile) of the cells the score of a cell, ln(1 + D²),, may be above their median."""
+LEAST_SPREAD = 0.02  # of these
 LIMIT_ERROR = 6.5
 """Standard error of the limit of the scores, in their spread over the root of their number."""
 _TREND_ROUNDS = 3

@@ -34,7 +34,6 @@ from anisoscope.parameters.geometry import Pose
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.sim.bench.optics import Lamp, image_of_surface, pixel_from_mm, vignette
 from anisoscope.sim.bench.sensor import Sensor
-from anisoscope.sim.light.contrasts import consecutive_pairs
 from detection_study.product import (
     BEND_MM,
     BY_NAME,
@@ -551,16 +550,23 @@ def _area_of(measured: Measured, size: Size, name: RecipeName) -> Row:
         "share": area.share,
         "u_share": area.u,
         "cells": area.cells,
-        "thresholds": np.array(area.cell_deviations),
+        "limit": area.limit,
+        "covariance": np.array(area.cell_covariance),
         **asdict(form),
     }
 
 
 def _no_area(name: RecipeName) -> Row:
     """The same of a part whose cells are not known."""
-    pairs = len(consecutive_pairs(POSES[name]))
+    poses = len(POSES[name])
     form = asdict(MarkForm(0, 0.0, 0.0, 0.0))
-    return {"share": np.nan, "u_share": np.nan, "cells": 0, "thresholds": np.full(pairs, np.nan), **form}
+    unknown = {
+        "share": np.nan,
+        "u_share": np.nan,
+        "limit": np.nan,
+        "covariance": np.full((poses, poses), np.nan),
+    }
+    return {**unknown, "cells": 0, **form}
 
 
 def _invalid_row(reason: str) -> Row:

@@ -34,6 +34,7 @@ from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.imaging.defect_regions import MarkForm
+from anisoscope.imaging.deviation_map import CellScatter
 from anisoscope.parameters.workers import Workers
 from anisoscope.prediction.expectation import Component
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -369,9 +370,11 @@ def _diagnosis(kind: str, judge: Judge, name: RecipeName, known: Signatures) -> 
         if drawn is None:  # too many golden parts of this rig were INVALID
             continue
         rig.append(int(all_rigs[row]))
-        thresholds = judge.columns[f"areas/{name}/thresholds"][row]
-        cells = int(judge.columns[f"areas/{name}/cells"][row])
-        own = known.by_thresholds(None if np.isnan(thresholds).any() else thresholds.tolist(), smear, cells)
+        covariance, limit, cells = (
+            judge.columns[f"areas/{name}/{key}"][row] for key in ("covariance", "limit", "cells")
+        )
+        scatter = None if np.isnan(limit) else CellScatter(covariance, float(np.expm1(limit)))
+        own = known.by_scatter(scatter, smear, int(cells))
         found = diagnose(own, evidence(judge, name, int(row), mates[drawn].tolist()))
         first.append(found.causes[0].cause == cause)
         tied.append(cause in {one.cause for one in found.ties})

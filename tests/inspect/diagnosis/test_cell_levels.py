@@ -1,4 +1,4 @@
-"""Local defects where the thresholds of the contrast map are those of every part."""
+"""Local defects where the scatter of the cells is that of every part."""
 
 from dataclasses import replace
 
@@ -7,11 +7,11 @@ import pytest
 
 from anisoscope.decision.decision import decide
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
-from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, Deviating, SmearedLevels, cell_deviations
+from anisoscope.diagnosis.cell_levels import SMEARS, STEP, CellLevels, Deviating, SmearedLevels
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.diagnosis.signature_cache import _packed, _unpacked, cached_signatures
 from anisoscope.diagnosis.signatures import signatures
-from anisoscope.imaging.deviation_map import CALM_UM, cell_map
+from anisoscope.imaging.deviation_map import CALM_UM, CellScatter, cell_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.parameters.geometry import Convention
@@ -88,7 +88,7 @@ def measured(cells, radiance):
     return Measured(radiance, (component,), (), cells, np.full(len(radiance), 0.005), grid, 0.0)
 
 
-def test_burrs_are_named_with_the_thresholds_of_the_part(recipe, few):
+def test_burrs_are_named_by_the_scatter_of_the_cells(recipe, few):
     expected = expectation(recipe, LIGHT_DEG)
     good, burred = (cells_of_part(recipe, coverage) for coverage in (0.0, COVERAGE))
     means = [cells.mean(axis=(1, 2)) for cells in (good, burred)]
@@ -109,13 +109,14 @@ def test_burrs_are_named_with_the_thresholds_of_the_part(recipe, few):
 
 @pytest.mark.parametrize("coverage", [0.02, 0.1, 0.2])
 def test_pictures_and_prediction_count_the_same_cells(recipe, marks, coverage):
-    """The share by D² is that of the predicted map by the thresholds of the part, so that it states severities."""
+    """The share by D² is that of the predicted map by the scatter of the part, so that it states severities."""
     maps = pictures_of_part(recipe, coverage).astype(np.float32)
     cells = cells_of(maps)
     seen = measured(cells, cells.mean(axis=(1, 2)))
     grid = Grid((0.0, 0.0), PIXEL_UM / 1000.0, maps.shape[1:])
     found = cell_map(replace(seen, aligned=tuple(maps), grid=grid), recipe)
-    known = marks.by_thresholds(found.thresholds, CALM_UM / PITCH_UM, found.score.size)
+    scatter = CellScatter(found.covariance, np.expm1(found.limit))
+    known = marks.by_scatter(scatter, CALM_UM / PITCH_UM, found.score.size)
     predicted = known.found[0].at(coverage)[1]
     scatter = known.found[0].share_scatter(coverage)
     assert abs(found.deviating().mean() - predicted) < 2.0 * np.hypot(0.15 * predicted, np.sqrt(scatter))
@@ -133,31 +134,49 @@ def test_texture_seen_off_the_mirror_direction_is_no_defect():
     assert shares[0.02] > 0.02
 
 
-def test_levels_give_the_share_and_the_form_of_every_threshold(rng):
-    ratios = rng.normal(0.0, 0.06, (3, 8, 40))
-    ratios[1, :, 17] += 0.2  # a line off its neighbours
-    levels = CellLevels.of(ratios)
-    for thresholds in ((0.3, 0.05, 0.125), (0.1, 0.3, 0.2), (0.05, 0.05, 0.05)):
-        each = np.array(thresholds)
-        direct = np.any(np.abs(cell_deviations(ratios, each)) > each[:, None, None], axis=0)
-        assert levels.share(thresholds) == pytest.approx(direct.mean())
-        np.testing.assert_array_equal(levels.deviating(thresholds), direct)
+def test_cells_deviate_by_d_squared_and_whole_lines_only_where_they_do(rng):
+    """A line off its neighbours counts with what its cells deviate by where it deviates itself, and not else."""
+    logs = rng.normal(0.0, 0.06, (3, 8, 40))
+    logs[1, :, 17] += 0.4
+    logs[1, :, 24] += 0.1
+    covariance = np.diag([0.07, 0.06, 0.05]) ** 2 + 0.001
+    levels = CellLevels.of(logs, 1)
+    for most in (6.0, 20.0):
+        alone = logs - np.median(logs, axis=1, keepdims=True)
+        alone[1, :, 17] += STEP * levels.lines[1, 17]
+        squares = np.einsum("pij,pq,qij->ij", alone, np.linalg.inv(covariance), alone)
+        over = levels.deviating(CellScatter(covariance, most))
+        clear = np.abs(np.sqrt(squares) - np.sqrt(most)) > 0.5 * STEP * np.sqrt(3.0) / 0.05
+        np.testing.assert_array_equal(over[clear], (squares > most)[clear])
+        assert over[:, 17].all()
+        assert over[:, 24].mean() < 0.5
+    assert STEP * levels.lines[1, 17] == pytest.approx(0.4, abs=0.1)
+
+
+@pytest.mark.parametrize("poses", [2, 3, 9])
+def test_even_scatter_has_the_threshold_that_is_asked_for(rng, poses):
+    pairs = [(k, k + 1) for k in range(poses - 1)]
+    np.testing.assert_allclose(CellScatter.even(0.3, poses).thresholds(pairs), 0.3)
+    normal = 0.02 * rng.normal(size=(poses, 60, 80))
+    texture = CellScatter.of_texture(normal)
+    assert texture.deviating(normal).mean() < 1e-3
+    assert texture.deviating(normal + 0.5).all()
 
 
 def test_a_grain_much_smaller_than_a_cell_is_hidden_by_a_smeared_picture():
     """The light of a pixel-sized spot is spread as by a Gaussian; what a large mark changes is not."""
     fine = np.ones((2, 64, 64))
-    fine[0, 17:19, 17:19] = 0.0  # a quarter of a cell
+    fine[0, 17:19, 17:19] = 0.0  # a quarter of a cell, as dark as one grain counts
     fine[0, 40:56, 40:56] = 0.5  # 4 by 4 cells
-    levels = SmearedLevels.of(fine, 4, [(0, 1)])
-    sharp, between, smeared = (levels.deviating([0.25], one) for one in (0.0, SMEARS[1] / 2.0, SMEARS[1]))
+    levels, scatter = SmearedLevels.of(fine, 4), CellScatter(0.01 * np.eye(2), 0.3**2 / 0.01)
+    sharp, between, smeared = (levels.deviating(scatter, one) for one in (0.0, SMEARS[1] / 2.0, SMEARS[1]))
     assert levels.cells == 256
     assert sharp.share == 17 / 256
     assert sharp.variance == (16**2 + 1) / 256**2
     assert smeared.share == 16 / 256
     assert between.share == pytest.approx((0.75 * 17 + 0.25 * 16) / 256)  # by the square of the smear
     assert between.form.groups == 2
-    assert levels.deviating([2.0], 0.05).form is None
+    assert levels.deviating(CellScatter(0.01 * np.eye(2), 300.0), 0.05).form is None
 
 
 def test_marks_scatter_by_their_number(rng):
@@ -174,28 +193,31 @@ def test_marks_scatter_by_their_number(rng):
     assert np.mean(stated) == pytest.approx(np.var(shares), rel=0.25)
 
 
+EVEN = CellScatter.even(0.3, 3)
+
+
 def test_the_uncertainty_of_a_share_is_that_of_both_maps_that_are_counted(marks):
     known = replace(marks, found=marks.found[1:])
-    (alone,), (small,) = (
-        known.by_thresholds([0.1, 0.1], cells=one).found for one in (None, known.levels.cells)
-    )
-    (sharp,) = known.by_thresholds([0.1, 0.1], 0.0).found
+    (alone,), (small,) = (known.by_scatter(EVEN, cells=one).found for one in (None, known.levels.cells))
+    (sharp,) = known.by_scatter(EVEN, 0.0).found
     assert sharp.at(150.0)[1] > 1.2 * alone.at(150.0)[1] > 0.0
     more = small.share_scatter(150.0) - alone.share_scatter(150.0)
-    counted = known.found[0].levels[2].deviating([0.1, 0.1], 0.08).variance
+    counted = known.found[0].levels[2].deviating(EVEN, 0.08).variance
     assert known.found[0].extents[2] < 150.0
     assert more > counted > 0.0
 
 
-def test_signatures_state_the_form_of_their_marks_by_the_thresholds_of_a_part(recipe, marks):
+def test_signatures_state_the_form_of_their_marks_by_the_scatter_of_a_part(recipe, marks):
     """Burrs are at the crests and extend along them; dust is anywhere. Stored signatures say the same."""
     again = _unpacked(_packed(marks), recipe, PLASTIC_CAUSES)
     for found in (marks, again):
-        burrs, dust = found.by_thresholds([0.1, 0.1]).found
+        burrs, dust = found.by_scatter(EVEN).found
         at_crests, along, _ = burrs.form_at(0.05)
         anywhere, alone, _ = dust.form_at(200.0)
         assert at_crests > 0.9
         assert anywhere < 0.7
         assert along > 0.6
         assert alone < 0.3
-    assert np.isnan(marks.by_thresholds([2.0, 2.0]).found[1].form_at(20.0)).all()  # nothing deviates so much
+    assert np.isnan(
+        marks.by_scatter(CellScatter.even(2.0, 3)).found[1].form_at(20.0)
+    ).all()  # nothing deviates so much

@@ -13,6 +13,7 @@ from anisoscope.diagnosis.cell_levels import SMEAR_PX
 from anisoscope.diagnosis.part_diagnosis import evidence_of
 from anisoscope.diagnosis.ranking import diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
+from anisoscope.imaging.deviation_map import CellScatter
 from anisoscope.imaging.ridge_waves import measured_pitch
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.parts import usable
@@ -110,7 +111,7 @@ def test_causes_and_severities(parts, tmp_path, undiagnosed, tilts, golden, firs
         known = cached_signatures(case.recipe, case.expected.convention.light_angle_deg)
         area = case.decided.area
         smear = SMEAR_PX * case.measured.grid.pixel_mm * 1000.0 / case.recipe.surface.pitch_um
-        known = known.by_thresholds(area.cell_deviations, smear, area.cells)
+        known = known.by_scatter(CellScatter.of(area), smear, area.cells)
         seen.append(diagnose(known, replace(told, pitch=measured_pitch(case.measured, case.recipe))))
         return Explanation()
 
