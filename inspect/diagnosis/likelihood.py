@@ -334,7 +334,7 @@ def _form_costs(
     other = np.where(np.asarray(guessed) > 0.0, OTHER_TEXTURE, 0.0)[..., None]
     known = (1.0 - other) * density(expected) + other * any_form
     found = np.where(np.isfinite(expected), known, any_form)
-    best = density(_within(hits / seen.groups))
+    best = np.maximum(density(np.clip(hits / seen.groups, _ODD, 1.0 - _ODD)), found.max(axis=0))
     cost = -2.0 * np.sum(np.log(np.maximum(found, 1e-300)), axis=-1)
     return cost + 2.0 * float(np.sum(np.log(best))), cost
 

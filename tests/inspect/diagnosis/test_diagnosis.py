@@ -210,6 +210,17 @@ def test_the_form_of_marks_tells_twins_of_one_area_apart(rng):
     assert {one.cause for one in few.ties} == set(forms)  # of two groups of cells the form is hardly known
 
 
+@pytest.mark.parametrize("aligned", [0.0, 0.02, 0.07, 0.5, 0.98, 1.0])
+def test_no_form_fits_better_than_well(rng, aligned):
+    """A part exactly as a cause says has χ² near 0, never below: of a negative one no p value is known."""
+    V, slope = 1e-4 * np.eye(len(POSES)), rng.normal(size=len(POSES))
+    sure = known(replace(line("crests", slope, share=0.2), forms=np.full((5, 3), (0.97, 0.82, aligned))))
+    for seen in (0.0, 0.02, 0.07, 0.5, 0.98, 1.0):
+        evidence = Evidence(0.5 * slope, V, 0.1, 0.005, form=MarkForm(291, 0.97, 0.82, seen))
+        (first, *_) = diagnose(sure, evidence).causes
+        assert first.chi2 >= 0.0
+
+
 def test_a_doubted_signature_is_believed_as_far_as_it_is_known():
     """A change that is 30 % off in one pose: too much for a certain signature, within the doubt of another."""
     V, slope = 1e-4 * np.eye(6), np.array([1.0, -0.5, 0.3, 0.8, -0.7, 0.2])
