@@ -89,8 +89,13 @@ class CellLevels:
 
     def deviating(self, scatter: CellScatter) -> npt.NDArray[np.bool_]:
         """(cell rows, cell cols) True where a cell deviates, by the scatter of good cells."""
-        alone, lines = STEP * self.alone, STEP * self.lines[:, None, :]
-        return scatter.deviating(alone + np.where(scatter.deviating(lines), lines, 0.0))
+        lines = STEP * self.lines[:, None, :].astype(np.float64)
+        return scatter.deviating(self.off + np.where(scatter.deviating(lines), lines, 0.0))
+
+    @property
+    def off(self) -> FloatArray:
+        """(P, cell rows, cell cols) deviation of the cells from their lines, in ln L."""
+        return np.asarray(STEP * self.alone.astype(np.float64))
 
 
 def _levels(off: FloatArray) -> npt.NDArray[np.int8]:

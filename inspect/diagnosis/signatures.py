@@ -22,7 +22,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import TAIL, Cause, all_causes, tail_cause
-from anisoscope.diagnosis.cell_levels import STEP, U_SMEAR, USUAL_SMEAR, SmearedLevels
+from anisoscope.diagnosis.cell_levels import U_SMEAR, USUAL_SMEAR, SmearedLevels
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.defect_regions import MarkForm, form_of
 from anisoscope.imaging.deviation_map import CellScatter
@@ -521,7 +521,7 @@ class _Scene:
     ) -> tuple[float, SmearedLevels, CellScatter, MarkForm | None]:
         """Share of deviating cells, their levels, the scatter of those of the surface itself, and form."""
         levels = SmearedLevels.of(cells, per_cell)
-        scatter = CellScatter.of_texture(STEP * levels.each[0].alone)
+        scatter = CellScatter.of_texture(levels.each[0].off)
         over = levels.each[0].deviating(scatter)
         return float(np.mean(over)), levels, scatter, form_of(over)
 
