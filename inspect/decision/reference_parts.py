@@ -508,8 +508,8 @@ Absent = Annotated[None, Field(exclude_if=lambda value: value is None)]
 class GoldenPart(ReferenceRow):
     """One golden part: identity, time of inspection, and (P,) ln radiances.
 
-    ``area_share`` is the share of the ``cells`` whose score exceeded ``limit``; sets of earlier versions have no limit,
-    but the ln ratio of their cells, ``cell_deviation``.
+    ``area_share`` is the share of the ``cells`` whose score exceeded ``cell_limit``; sets of earlier versions have the
+    limit of the mean score of their points, ``limit``, or the ln ratio of their cells, ``cell_deviation``.
     """
 
     log_radiance: tuple[float, ...]
@@ -519,6 +519,7 @@ class GoldenPart(ReferenceRow):
         float | Literal["auto"] | None, Field(exclude_if=lambda value: value is None)
     ] = None
     limit: Annotated[float | None, Field(exclude_if=lambda value: value is None)] = None
+    cell_limit: Annotated[float | None, Field(exclude_if=lambda value: value is None)] = None
     cells: int | None = None
     verdict: str
 
@@ -530,7 +531,8 @@ class GoldenPart(ReferenceRow):
     def deviating_area(self, rule: Any) -> tuple[float, int | None] | None:  # noqa: ANN401 - of the kind
         """Share and number of cells, if they were judged by their scores."""
         del rule
-        return None if self.area_share is None or self.limit is None else (self.area_share, self.cells)
+        known = self.cell_limit is not None or self.limit is not None
+        return None if self.area_share is None or not known else (self.area_share, self.cells)
 
 
 class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
@@ -599,8 +601,8 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
 
     @property
     def cell_limits(self) -> tuple[float, ...]:
-        """Limits of the scores of the cells, of every part that has one."""
-        return tuple(part.limit for part in self.parts if part.limit is not None)
+        """Limits of the scores of the cells, of every part that has one; earlier versions had other scores."""
+        return tuple(part.cell_limit for part in self.parts if part.cell_limit is not None)
 
     @property
     def needed(self) -> int:
@@ -653,7 +655,8 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
         area = None if recipe.area is None else surface_of(record).area
         if area is None or area.limit is None:
             return {"area_share": None}
-        return {"area_share": area.share, "limit": area.limit, "cells": area.cells}
+        name = "limit" if area.cell_covariance is None else "cell_limit"
+        return {"area_share": area.share, name: area.limit, "cells": area.cells}
 
 
 def counted(count: int, what: str) -> str:

@@ -158,11 +158,12 @@ class CellMap:
         return np.asarray(self.score > self.limit)
 
     def by(self, limits: Sequence[float]) -> "CellMap":
-        """The same with the limit of golden parts, the mean of theirs.
+        """The same with the limit of golden parts, the mean of theirs; of a map of an earlier version, the same.
 
         A part that is spoiled all over has a higher one of its own, so that it hides its marks.
         """
-        return replace(self, limit=min(self.limit, float(np.mean(limits)))) if limits else self
+        known = limits and self.covariance is not None
+        return replace(self, limit=min(self.limit, float(np.mean(limits)))) if known else self
 
     @property
     def u_share(self) -> float:

@@ -42,7 +42,7 @@ def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     low, high = found["size_interval"]
     assert low < found["birge"] < high
     assert found["size"] == pytest.approx((0.5 + 2.0 * found["birge"]) / 2.5)
-    assert all(part["limit"] > 0.0 for part in found["parts"])
+    assert all(part["cell_limit"] > 0.0 for part in found["parts"])
     shown = anisoscope("golden", "show", *at).out
     assert "golden parts: ridged test plate" in shown
     assert "what golden parts can show" in shown

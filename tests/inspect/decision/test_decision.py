@@ -227,6 +227,8 @@ def test_the_limit_of_golden_parts_finds_what_a_part_that_is_spoiled_all_over_hi
     assert own.limit > good.limit
     assert own.by(()).deviating().mean() < own.by((good.limit,)).deviating().mean()
     assert own.by((9.0,)).limit == own.limit  # never wider
+    stored = replace(own, covariance=None)  # by an earlier version, whose scores were others
+    assert stored.by((good.limit,)).limit == own.limit
 
 
 def test_a_whole_flank_that_is_alike_is_no_area_defect(make_recipe):

@@ -19,7 +19,7 @@ def part(number, log_radiance, share=None, limit=None, cells=None):
         inspected_at="2026-01-02T03:04:05+00:00",
         log_radiance=tuple(log_radiance),
         area_share=share,
-        limit=limit,
+        cell_limit=limit,
         cells=cells,
         verdict="PASS",
     )
@@ -45,7 +45,7 @@ def test_the_order_of_the_entries_in_a_file_is_that_of_earlier_versions(tmp_path
         "inspected_at",
         "log_radiance",
         "area_share",
-        "limit",
+        "cell_limit",
         "cells",
         "verdict",
     ]
@@ -83,6 +83,9 @@ def test_limits_of_cells_are_those_of_the_rows_that_have_one(make_recipe):
     rows = [part(k, (0.0, 0.0, 0.0), 0.01, limit, 400) for k, limit in enumerate((3.0, None, 3.2))]
     found = golden(rows)
     assert found.cell_limits == (3.0, 3.2)
+    earlier = rows[0].model_copy(update={"cell_limit": None, "limit": 1.4})  # of the scores of points
+    assert golden([earlier, *rows]).cell_limits == (3.0, 3.2)
+    assert golden([earlier, *rows]).area_shares(make_recipe().area) == (0.01, 0.01, 0.01)
     assert found.area_shares(make_recipe().area) == (0.01, 0.01)
 
 
