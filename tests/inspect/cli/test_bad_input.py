@@ -8,27 +8,27 @@ import pytest
 from cyclopts import App
 
 from anisoscope import cli
-from anisoscope.base.progress import silent
-from anisoscope.operations.demo.ridges import SCENE
+from anisoscope.parameters.ridges import RidgeDesign
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-
-
-@pytest.fixture(scope="module")
-def laid_out(made_once):
-    """The demo's files before anything is inspected, laid out by one worker for all of them."""
-    return made_once("demo before it is inspected", lambda folder: SCENE.lay_out(folder, 5, silent))
+from anisoscope.profiles.ideal import ridges
 
 
 @pytest.fixture
-def job(laid_out, tmp_path):
-    """A copy of the demo's files, to be spoiled; a picture is as few frames as can be."""
-    for name in ("recipe.toml", "reference.x3p", "flat.tif", "fixture.json"):
-        shutil.copy(laid_out / name, tmp_path)
-    shutil.copytree(laid_out / "bench", tmp_path / "bench")
-    frames = "frames_per_pose = {}\ndark_frames = {}"
-    edit(tmp_path / "recipe.toml", frames.format(4, 8), frames.format(2, 2))
-    return tmp_path
+def job(virtual_rig, flat):
+    """``job(bench={...})``: a part on the small rig with a map as reference, whose files may be spoiled."""
+
+    def laid_out(**bench):
+        surface = {"design": None, "height_map": "reference.x3p"}
+        recipe = {"surface": surface, "poses": {"angles_deg": [0.0, 90.0, 180.0]}}
+        job = virtual_rig(recipe=recipe, bench=bench)
+        ridged = ridges(RidgeDesign(pitch_um=100.0, ridge_angle_deg=10.0), (401, 401), (1.0, 1.0))
+        write_height_map(ridged, job.recipe.with_name("reference.x3p"))
+        shutil.copy(flat, job.rig.with_name("flat.tif"))
+        edit(job.rig, str(flat), "flat.tif")
+        return job
+
+    return laid_out
 
 
 def edit(path, old, new):
@@ -38,19 +38,8 @@ def edit(path, old, new):
 
 
 def inspect(anisoscope, job, *extra, serial="P-1"):
-    rig = job / "bench" / "good" / "rig.toml"
-    return anisoscope(
-        "inspect",
-        "--recipe",
-        job / "recipe.toml",
-        "--rig",
-        rig,
-        "--serial",
-        serial,
-        "--out",
-        job / "out",
-        *extra,
-    )
+    files = (f"--recipe={job.recipe}", f"--rig={job.rig}", f"--out={job.out}")
+    return anisoscope("inspect", *files, f"--serial={serial}", *extra)
 
 
 def assert_one_line(done, code, *words):
@@ -63,19 +52,19 @@ def assert_one_line(done, code, *words):
 
 
 def records(job):
-    return list((job / "out").rglob("record.json"))
+    return list(job.out.rglob("record.json"))
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("exposure_s = 0.006", 'exposure_s = "6 ms"', ("acquisition.exposure_s", "number")),
-        ("exposure_s = 0.006", "exposure_ms = 6", ("exposure_ms",)),
-        ("tolerance = 0.4", "tolerence = 0.4", ("tolerence", "tolerance")),
+        ("exposure_s = 0.0015", 'exposure_s = "6 ms"', ("acquisition.exposure_s", "number")),
+        ("exposure_s = 0.0015", "exposure_ms = 6", ("exposure_ms",)),
+        ("tolerance = 0.25", "tolerence = 0.25", ("tolerence", "tolerance")),
         ("pitch_um = 100.0", "pitch_um = -100.0", ("surface.pitch_um",)),
-        ("alpha_along = 0.055", "alpha_along = 5.5", ("alpha along",)),
+        ("alpha_along = 0.06", "alpha_along = 5.5", ("alpha along",)),
         ("schema = 1", "schema = 7", ("schema",)),
-        ("tolerance = 0.4", "tolerance = 25.0", ("ln ratio", "factor of 7.2e+10")),
+        ("tolerance = 0.25", "tolerance = 25.0", ("ln ratio", "factor of 7.2e+10")),
         ("schema = 1", "schema = = 1", ("recipe.toml",)),
         ("reference.x3p", "nowhere.x3p", ("nowhere.x3p",)),
         ("pitch_um = 100.0", "pitch_um = 80.0", ("100", "80")),
@@ -83,7 +72,8 @@ def records(job):
     ],
 )
 def test_wrong_recipe(anisoscope, job, old, new, words):
-    edit(job / "recipe.toml", old, new)
+    job = job()
+    edit(job.recipe, old, new)
     done = inspect(anisoscope, job)
     assert_one_line(done, done.code, *words)
     assert 64 <= done.code < 128
@@ -102,7 +92,8 @@ def test_wrong_recipe(anisoscope, job, old, new, words):
     ],
 )
 def test_wrong_rig_file(anisoscope, job, old, new, words):
-    edit(job / "bench" / "good" / "rig.toml", old, new)
+    job = job()
+    edit(job.rig, old, new)
     done = inspect(anisoscope, job)
     assert_one_line(done, done.code, *words)
     assert 64 <= done.code < 128
@@ -114,15 +105,9 @@ def test_wrong_rig_file(anisoscope, job, old, new, words):
     ["<script>alert(1)</script>", "../../etc/passwd", "", " ", "a ", "x" * 65, "a\x1b[2J", "a\nb", "-rf"],
 )
 def test_serials_that_could_do_harm(anisoscope, job, serial):
-    done = anisoscope(
-        "inspect",
-        f"--recipe={job / 'recipe.toml'}",
-        f"--rig={job / 'bench/good/rig.toml'}",
-        f"--serial={serial}",
-        f"--out={job / 'out'}",
-    )
-    assert_one_line(done, 64, "serial")
-    assert not (job / "out").exists()
+    job = job()
+    assert_one_line(inspect(anisoscope, job, serial=serial), 64, "serial")
+    assert not job.out.exists()
 
 
 @pytest.mark.parametrize(
@@ -130,8 +115,7 @@ def test_serials_that_could_do_harm(anisoscope, job, serial):
     [("silent", ("silent",)), ("stall:100", ("stage",)), ("wrong-address", ()), ("hangup", ())],
 )
 def test_stage_in_trouble(anisoscope, job, fault, words):
-    with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
-        stream.write(f'\n[stage]\ntime_scale = 0.0\nfaults = ["{fault}"]\n')
+    job = job(stage={"faults": [fault]})
     done = inspect(anisoscope, job)
     assert_one_line(done, 69, *words)
     assert records(job) == []
@@ -139,8 +123,7 @@ def test_stage_in_trouble(anisoscope, job, fault, words):
 
 def test_a_noisy_line_is_borne_in_silence(anisoscope, job):
     """All pictures are taken; a cap on the lens ends it there, since causes and report take longer than they do."""
-    with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
-        stream.write('\n[stage]\ntime_scale = 0.0\nfaults = ["garbage"]\n\n[optics]\nlens_cap = true\n')
+    job = job(stage={"faults": ["garbage"]}, optics={"lens_cap": True})
     done = inspect(anisoscope, job, "--json")
     assert (done.code, done.json["verdict"]) == (3, "INVALID")
     assert "lens cap" in done.json["reasons"][0]
@@ -148,7 +131,8 @@ def test_a_noisy_line_is_borne_in_silence(anisoscope, job):
 
 
 def test_saturated_frames_are_invalid_and_recorded(anisoscope, job):
-    edit(job / "recipe.toml", "exposure_s = 0.006", "exposure_s = 0.03")
+    job = job()
+    edit(job.recipe, "exposure_s = 0.0015", "exposure_s = 0.03")
     done = inspect(anisoscope, job, "--json")
     assert done.code == 3
     assert done.json["verdict"] == "INVALID"
@@ -159,27 +143,28 @@ def test_saturated_frames_are_invalid_and_recorded(anisoscope, job):
 
 
 def test_lens_cap_is_invalid(anisoscope, job):
-    with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
-        stream.write("\n[stage]\ntime_scale = 0.0\n[optics]\nlens_cap = true\n")
-    done = inspect(anisoscope, job, "--json")
+    done = inspect(anisoscope, job(optics={"lens_cap": True}), "--json")
     assert done.code == 3
     assert "lens cap" in done.json["reasons"][0]
 
 
 def test_a_damaged_flat_is_invalid_and_a_missing_one_a_wrong_rig_file_before_anything_moves(anisoscope, job):
-    (job / "flat.tif").write_bytes((job / "flat.tif").read_bytes()[:1000])
+    job = job()
+    flat = job.rig.with_name("flat.tif")
+    flat.write_bytes(flat.read_bytes()[:1000])
     assert_one_line(inspect(anisoscope, job), 3, "flat.tif", "calibrate flat")
-    (job / "flat.tif").unlink()
+    flat.unlink()
     assert_one_line(inspect(anisoscope, job), 78, "[calibration]", "flat.tif", "calibrate flat")
     assert records(job) == []
 
 
 def test_truncated_x3p(anisoscope, job):
-    data = (job / "reference.x3p").read_bytes()
-    (job / "reference.x3p").write_bytes(data[: len(data) // 2])
+    job = job()
+    reference = job.recipe.with_name("reference.x3p")
+    reference.write_bytes(reference.read_bytes()[: reference.stat().st_size // 2])
     assert_one_line(inspect(anisoscope, job), 65, "reference.x3p")
-    assert_one_line(anisoscope("profile", "info", job / "reference.x3p"), 65, "reference.x3p")
-    assert_one_line(anisoscope("predict", job / "reference.x3p"), 65, "reference.x3p")
+    assert_one_line(anisoscope("profile", "info", reference), 65, "reference.x3p")
+    assert_one_line(anisoscope("predict", reference), 65, "reference.x3p")
 
 
 COMMANDS_WITH_MAPS = ("profile", "info"), ("predict",)
@@ -203,8 +188,9 @@ def test_files_that_are_no_map(anisoscope, tmp_path, name, content, words):
 
 
 def test_a_folder_that_cannot_be_written(anisoscope, job):
-    (job / "out").write_text("a file where the folder should be")
-    assert_one_line(inspect(anisoscope, job), 74, "out")
+    job = job()
+    job.out.write_text("a file where the folder should be")
+    assert_one_line(inspect(anisoscope, job), 74, "inspections")
 
 
 def test_debug_shows_the_traceback(anisoscope, tmp_path):
