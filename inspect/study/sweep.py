@@ -14,7 +14,7 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar, TypeVar
@@ -34,6 +34,7 @@ CONNECT_TIMEOUT_S = 5.0
 NO_WORKERS_TIMEOUT_S = 20.0
 _PARTS = 64  # steps of the progress bar, about
 _MAX_TASK_TEXT = 120  # characters of a failed task
+_LOOK_S = 0.2  # between looks at what a cluster has done: how late it may learn of Ctrl-C
 _RECOMPUTED_S = 0.05  # between looks at results that went with their worker
 _PARENT_S = 0.5  # between looks at whether the parent is still there
 
@@ -312,14 +313,26 @@ def _no_workers(address: str) -> str:
     return f"the Dask scheduler at {address} has had no workers for {NO_WORKERS_TIMEOUT_S:g} s"
 
 
-def _collect(client: _Client, parts: list[_Part], address: str) -> _Finished:
+def _ready(waiting: list[Any]) -> set[Any]:
+    """The futures that are done, as soon as one is; none after `NO_WORKERS_TIMEOUT_S`.
+
+    An interruption comes between two looks: a wait of Dask's that is interrupted before its loop has begun it prints a
+    NameError of its own (`distributed.utils.sync`).
+    """
     distributed: Any = import_module("distributed")
+    end = time.monotonic() + NO_WORKERS_TIMEOUT_S
+    while time.monotonic() < end:
+        with undisturbed(), suppress(TimeoutError):
+            return set(distributed.wait(waiting, _LOOK_S, "FIRST_COMPLETED").done)
+    return set()
+
+
+def _collect(client: _Client, parts: list[_Part], address: str) -> _Finished:
     waiting = {client.submit(_compute, part, pure=False): part for part in parts}
     try:
         while waiting:
-            try:
-                ready = distributed.wait(list(waiting), NO_WORKERS_TIMEOUT_S, "FIRST_COMPLETED").done
-            except TimeoutError:
+            ready = _ready(list(waiting))
+            if not ready:
                 _await_workers(client, address)
                 continue
             if all(future.status == "lost" for future in ready):

@@ -163,13 +163,17 @@ def test_a_scheduler_without_workers_is_told(scheduler, monkeypatch):
         sweep(draw(), range(3), Workers(scheduler=scheduler), seed=1)
 
 
-@pytest.mark.parametrize("place", ["processes", "cluster"])
+@pytest.mark.parametrize("place", ["processes", "cluster", "cluster on a busy machine"])
 def test_interruption_ends_it_cleanly(place, request, tmp_path):
+    """Where the machine is busy, Ctrl-C may come before Dask has begun to wait."""
     options = "2" if place == "processes" else f"scheduler={request.getfixturevalue('cluster').address!r}"
+    busy = place.endswith("busy machine")
     program = tmp_path / "program.py"
     program.write_text(
         textwrap.dedent(f"""
         import os
+        import signal
+        import threading
         import time
         from pathlib import Path
         from anisoscope.parameters.workers import Workers
@@ -179,9 +183,15 @@ def test_interruption_ends_it_cleanly(place, request, tmp_path):
             Path({str(tmp_path)!r}, f"begun-{{os.getpid()}}").touch()
             time.sleep(0.2)
 
+        def hold_up(_doing, done, _total):
+            if done and {busy}:
+                import distributed
+                distributed.default_client().loop.add_callback(time.sleep, 1.0)
+                threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+
         if __name__ == "__main__":
             try:
-                sweep(slow, range(1000), Workers({options}))
+                sweep(slow, range(1000), Workers({options}), advance=hold_up)
             except KeyboardInterrupt:
                 print("interrupted")
         """)
@@ -196,8 +206,9 @@ def test_interruption_ends_it_cleanly(place, request, tmp_path):
         while len(list(tmp_path.glob("begun-*"))) < 2:  # both are past their imports
             assert running.poll() is None, running.stderr.read()
             time.sleep(0.05)
-        time.sleep(0.3)
-        os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to every process in the foreground
+        if not busy:  # there the program interrupts itself
+            time.sleep(0.3)
+            os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to every process in the foreground
         out, err = running.communicate(timeout=120)
     assert out == "interrupted\n"
     assert "Traceback" not in err, err
