@@ -19,17 +19,42 @@ _NUMBER = re.compile(r"\s*([-+−]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*(
 
 @dataclass(frozen=True)
 class Likely:
-    """Likely range of a length in µm: a smaller number without a unit may have been meant in mm.
+    """Likely range of a length: a number without a unit beyond it may have been meant in a larger or smaller one.
 
     Attributes:
-        low_um: smallest likely value.
-        high_um: largest likely value.
+        low: smallest likely value, in the unit of the parameter.
+        high: largest likely value.
         noun: the plural of what has the length.
+        firm: nothing beyond the range is taken, whatever unit is written.
     """
 
-    low_um: float
-    high_um: float
+    low: float
+    high: float
     noun: str
+    firm: bool = False
+
+    def check(self, value: float, name: str, unit: str, written: str = "") -> float:
+        """The value, where it may be meant; arguments as of `read_number`, and the unit that was written.
+
+        Raises:
+            ValueError: one line that asks which unit was meant, or gives the range.
+        """
+        if value <= 0.0 or self.low <= value <= self.high:
+            return value
+        own, factor = SIGNS.get(unit, unit), 1e3 if value < self.low else 1e-3
+        others = [one for one, of in UNITS[unit].items() if math.isclose(of, factor)]
+        may_be = self.low <= factor * value <= self.high or (value < self.low and not self.firm)
+        limits = f"{self.noun} have {self.low:g} to {self.high:g} {own}"
+        if others and may_be and not written:
+            other = SIGNS.get(others[0], others[0])
+            rest = limits if self.firm else f"if {value:g} {own} is meant, write {value:g}{unit}"
+            raise ValueError(
+                f"{name} {value:g} {own}? {self.noun} of {value:g} {other} are {name} {factor * value:g} (or write "
+                f"{value:g}{others[0]}); {rest}"
+            )
+        if self.firm:
+            raise ValueError(f"{name} {value:g} {own}? {limits}: check the number and its unit")
+        return value
 
 
 def unit_of(name: str) -> str:
@@ -63,10 +88,5 @@ def read_number(text: str, name: str, unit: str = "", likely: Likely | None = No
                 f"{name} {text}: {written!r} is no unit of it; "
                 + (f"it takes {known}" if known else "leave it out")
             )
-        return value * units[written]
-    if likely is not None and 0.0 < value < likely.low_um and 1e3 * value <= likely.high_um:
-        raise ValueError(
-            f"{name} {value:g} µm? {likely.noun} of {value:g} mm are {name} {1e3 * value:g} (or write {value:g}mm); if "
-            f"{value:g} µm is meant, write {value:g}um"
-        )
-    return value
+        value *= units[written]
+    return value if likely is None else likely.check(value, name, unit, written)

@@ -4,15 +4,25 @@ import difflib
 import json
 import re
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from urllib.parse import quote
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic_core import ErrorDetails
 
 from anisoscope.base.errors import ConfigError, RecipeError, RigFileError
+from anisoscope.base.quantity import Likely, read_number, unit_of
 from anisoscope.base.toml_table import read_toml
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -43,6 +53,20 @@ def _file_relative_to_folder(value: str, info: ValidationInfo) -> str:
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
+
+
+def _length(value: object, info: ValidationInfo, likely: Likely) -> object:
+    if isinstance(value, str) or (isinstance(value, int | float) and not isinstance(value, bool)):
+        name = info.field_name or ""
+        return read_number(str(value), name, unit_of(name), likely)
+    return value
+
+
+def length(likely: Likely) -> BeforeValidator:
+    """Reads a length, a number or text with its unit, in the unit of its key; one that is not likely is asked about."""
+    return BeforeValidator(partial(_length, likely=likely))
+
+
 NotNegative = Annotated[float, Field(ge=0.0)]
 LocalPath = Annotated[Path, AfterValidator(_relative_to_folder)]
 """A path; a relative one counts from the folder of the file in which it stands."""

@@ -52,6 +52,8 @@ MOST_DOTS = 16384
 STILL_SIDE = 360
 TONE_DOTS = 8
 MOST_PRESSED = 16_000_000
+BRIGHT_SHEET = 0.1
+"""Light of a sheet over that of white from which on it is said what it costs."""
 
 
 def percent(share: float) -> str:
@@ -154,6 +156,17 @@ def _separated(inks: tuple[Ink, ...], lamp: Illuminant, how: Separating) -> Sepa
     )
 
 
+def _notes(picture: Image, plan: Separation) -> tuple[str, ...]:
+    """What was converted in an image, and what a bright sheet costs it."""
+    if plan.sheet_share < BRIGHT_SHEET:
+        return picture.notes
+    note = (
+        f"darker than {percent(plan.sheet_share)} of white, the light of the sheet without ink at {plan.angle_deg:g}°, "
+        "nothing can be printed: take a darker sheet"
+    )
+    return (*picture.notes, note)
+
+
 def film_paths(out: Path, inks: Sequence[Ink]) -> tuple[Path, ...]:
     """The picture of all dots and, next to it, each ink's film, named after the ink."""
     names = [out]
@@ -191,7 +204,7 @@ def halftone(
     size = films.width_mm
     dots = picture.srgb.shape[1] if size is None else round(size / MM_AN_INCH * films.dpi)
     found = place_dots(to_dots(picture, dots), plan, films.method, advance=on_progress)
-    return Films(found, plan, chosen, films.dpi, picture.notes)
+    return Films(found, plan, chosen, films.dpi, _notes(picture, plan))
 
 
 def _of_halftone(found: Halftone) -> dict[str, Any]:
@@ -457,7 +470,7 @@ def soft_proof(
         shares,
         tones,
         view or ProofView(),
-        picture.notes,
+        _notes(picture, plan),
         solid,
         result,
         settings.substrate,

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from anisoscope.base.errors import RecipeError
-from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
+from anisoscope.base.quantity import Likely
+from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, length, read_toml_model
 from anisoscope.recipe.poses import PosesPart
 from anisoscope.rig.acquisition.plan import LEAST_STEP
 from anisoscope.rig.fixture import Fixture
@@ -41,6 +42,9 @@ class AcquisitionPart(Part):
         return self
 
 
+Side = Annotated[Positive, length(Likely(1e-3, 1000.0, "regions", firm=True))]
+
+
 class RegionPart(Part):
     """The inspected rectangle of the part, in mm.
 
@@ -48,7 +52,7 @@ class RegionPart(Part):
     """
 
     center_mm: tuple[float, float] = (0.0, 0.0)
-    size_mm: tuple[Positive, Positive]
+    size_mm: tuple[Side, Side]
 
 
 class DecisionBase(Part):

@@ -7,8 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from anisoscope.base.errors import HeightMapError, ModelError, RecipeError, RigFileError
-from anisoscope.base.quantity import read_number
-from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
+from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, length
 from anisoscope.parameters.geometry import Convention
 from anisoscope.parameters.inputs import (
     SCATTER_ALBEDO,
@@ -81,14 +80,7 @@ class DesignPart(Part):
     )
 
 
-def _pitch(value: object) -> object:
-    """Pitch in µm, from a number or from text with its unit; ValueError where mm may have been meant."""
-    if isinstance(value, str) or (isinstance(value, int | float) and not isinstance(value, bool)):
-        return read_number(str(value), "pitch_um", "um", LIKELY_PITCH)
-    return value
-
-
-Pitch = Annotated[Positive, BeforeValidator(_pitch)]
+Pitch = Annotated[Positive, length(LIKELY_PITCH)]
 
 
 class SurfacePart(Part):

@@ -71,6 +71,11 @@ class Separation:
         return self.colours - self.bare[:, None]
 
     @property
+    def sheet_share(self) -> float:
+        """Light of the sheet over that of the white, of the channel where it is largest: no print gets darker."""
+        return float((self.bare / self.white).max())
+
+    @property
     def inks(self) -> int:
         """Number K of inks."""
         return int(self.colours.shape[1])

@@ -192,4 +192,4 @@ def _print(proof: "SoftProof", written: list[Path]) -> None:
     if proof.pressed is not None:
         rows = [[name, f"{100.0 * share:.2f}"] for name, share in proof.primaries.items()]
         print_table("What the press makes of the dots", ["primary", "coverage [%]"], rows)
-    print_lines(*(f"{path}: written" for path in written))
+    print_lines(*(f"Image: {note}." for note in proof.notes), *(f"{path}: written" for path in written))

@@ -291,7 +291,8 @@ def _from_golden(
     logs = np.log(measured.channels).ravel() - mean + base
     own = (*measured.sources, *(one for one in of_rig if one.name in OF_ONE_INSPECTION))
     scatter = np.cov(golden.logs(), rowvar=False) / len(golden.parts)
-    sources = (*own, Source("mean of the golden prints", "prediction", root(scatter).T))
+    whose = "golden prints" if golden.lot is None else "other prints of the lot"
+    sources = (*own, Source(f"mean of the {whose}", "prediction", root(scatter).T))
     weights = (*expected.common, *measured.sources, *of_rig)
     fit = fit_print(expected.scene, logs, weights)
     origin = fit_print(expected.scene, mean, weights).state

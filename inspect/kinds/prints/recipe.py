@@ -11,7 +11,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import ModelError, RecipeError, UsageError
-from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share
+from anisoscope.base.quantity import Likely
+from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share, length
 from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.recipe.base import CommonUncertainty, LotDecision, RecipeBase
 from anisoscope.recipe.poses import PosesPart
@@ -31,6 +32,10 @@ def _known(text: str) -> str:
     raise ValueError(f"no ink is named {text!r}; known: {', '.join(SYNTHETIC)}, or a file *.toml")
 
 
+Dot = Annotated[Positive, length(Likely(1.0, 10000.0, "dots", firm=True))]
+Flake = Annotated[Positive, length(Likely(0.5, 1000.0, "flakes", firm=True))]
+Cell = Annotated[Positive, length(Likely(0.001, 50.0, "cells", firm=True))]
+Shift = Annotated[Positive, length(Likely(0.01, 300.0, "shifts of a spectrum", firm=True))]
 InkName = Annotated[NameOrFile, AfterValidator(_known)]
 
 
@@ -67,8 +72,8 @@ class PrintPart(Part):
     ink: InkName
     coverage: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     substrate: Share = 0.04
-    dot_um: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
-    flake_um: Annotated[Positive | None, Field(exclude_if=lambda value: value is None)] = None
+    dot_um: Annotated[Dot | None, Field(exclude_if=lambda value: value is None)] = None
+    flake_um: Annotated[Flake | None, Field(exclude_if=lambda value: value is None)] = None
     lobe: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.0
     wrong_inks: Annotated[tuple[InkName, ...], Field(max_length=4)] = ()
     u_alpha_share: Share | None = None
@@ -161,7 +166,7 @@ class PrintArea(Part):
     of the area does. Left out, golden prints teach it.
     """
 
-    cell_mm: Positive = 0.1
+    cell_mm: Cell = 0.1
     cell_delta_e: Positive = 3.0
     scatters: NotNegative = 5.0
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.01
@@ -180,7 +185,7 @@ class PrintDefects(Part):
     lean_deg: Annotated[float, Field(gt=0.0, le=5.0)] | None = 1.0
     missing_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = 0.1
     wrong_ink_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = 0.05
-    film_nm: Positive | None = 3.0
+    film_nm: Shift | None = 3.0
 
 
 class PrintUncertainty(CommonUncertainty):

@@ -32,6 +32,8 @@ from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
 TARGET_SHARE = 0.9
 """Good prints that should come out of a limit decided."""
+LEAST_SHINING = 0.5
+"""Share of the light of the brightest pose that flakes send at least."""
 DIM = 0.1
 """Brightness of a pose, by the brightest, below which a longer exposure is worth while."""
 _CURL_U_DEG = 0.05
@@ -264,13 +266,24 @@ def _complaints(
             f"at tilt {darkest.tilt_deg:g}° the print is {darkest.brightness:.1%} as bright as in its brightest pose: "
             "set acquisition.brackets, such as [8.0]"
         )
-    found += [
-        f"if ink file and rig are off as much as they state, only {one.passing:.0%} of good prints will pass the limit "
-        f"of {one.title} ({TARGET_SHARE:.0%} wanted), and most others end undecided: widen the limit to "
-        f"{_rounded_up(one.wanted):g}, measure the ink, or teach golden prints"
-        for one in quantities
-        if one.passing < TARGET_SHARE
-    ]
+    shining = float(expected.scene.of_flakes().max())
+    if shining < LEAST_SHINING:
+        part = recipe.print
+        found.append(
+            f"the sheet is brighter than the ink: even where they shine most the flakes send {shining:.0%} of the "
+            f"light: check print.coverage ({part.coverage:g}) and print.substrate ({part.substrate:g})"
+        )
+    few = [one for one in quantities if one.passing < TARGET_SHARE]
+    if few:
+        shares = ", ".join(
+            f"{one.passing:.0%} the limit of {one.title} ({_rounded_up(one.wanted):g} would do)"
+            for one in few
+        )
+        found.append(
+            f"if ink file and rig are off as much as they state, too few good prints will pass ({TARGET_SHARE:.0%} "
+            f"wanted), and most others end undecided: only {shares}; widen the limit{'s' * (len(few) > 1)}, measure "
+            "the ink, or teach golden prints"
+        )
     return tuple(found)
 
 

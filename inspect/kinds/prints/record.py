@@ -173,6 +173,11 @@ class GoldenPrintsRecord(_Part):
     fitted: tuple[GoldenFitRecord, ...]
     colours: tuple[GoldenColourRecord, ...]
 
+    @property
+    def words(self) -> str:
+        """What this print was compared with, in words."""
+        return "golden prints" if self.lot is None else f"other prints of lot {self.lot}"
+
 
 class PrintDetails(Details):
     """A print: what it was compared with, the colours of its poses, the lobe, the map and what was judged.

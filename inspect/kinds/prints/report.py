@@ -177,11 +177,11 @@ def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, 
 
 
 def _golden_strip(golden: GoldenPrintsRecord) -> str:
-    """Strip chart of the fitted parameters among those of the golden prints, in their standard deviations."""
+    """Strip chart of the fitted parameters among those of the reference prints, in their standard deviations."""
     names = [one.title for one in golden.fitted]
     known = np.array([np.subtract(one.golden, one.mean) / (one.s or 1.0) for one in golden.fitted]).T
     mine = [(one.measured - one.mean) / (one.s or 1.0) for one in golden.fitted]
-    return among(names, known, mine, "golden prints", "in their standard deviations").strip
+    return among(names, known, mine, golden.words, "in their standard deviations").strip
 
 
 def _pale(found: PrintDetails) -> float:

@@ -9,8 +9,9 @@ from pydantic import Field, model_validator
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.base.quantity import Likely
 from anisoscope.base.toml_edits import toml_literal
-from anisoscope.base.toml_file import NotNegative, Positive, Share
+from anisoscope.base.toml_file import NotNegative, Positive, Share, length
 from anisoscope.parameters.new_recipe import NewRecipe
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -22,6 +23,9 @@ from anisoscope.recipe.surface import (
     ScatterPart,
     SurfaceRecipe,
 )
+
+Depth = Annotated[NotNegative, length(Likely(0.001, 1e4, "etch depths", firm=True))]
+Width = Annotated[NotNegative, length(Likely(0.01, 1e5, "features", firm=True))]
 
 
 class WaferMaterial(MaterialPart):
@@ -49,9 +53,9 @@ class WaferUncertainty(RigUncertainty):
     rigorous waves of aluminium.
     """
 
-    etch_depth_nm: NotNegative = 1.0
-    etch_width_nm: NotNegative = 20.0
-    step_edges_nm: NotNegative | None = None
+    etch_depth_nm: Depth = 1.0
+    etch_width_nm: Width = 20.0
+    step_edges_nm: Width | None = None
 
 
 class WaferDefects(DefectsPart):
@@ -61,8 +65,8 @@ class WaferDefects(DefectsPart):
     ``marked_share``: of the area in cells that differ from those at their place in the other tiles.
     """
 
-    etch_depth_nm: Positive | None = 15.0
-    etch_width_nm: Positive | None = 500.0
+    etch_depth_nm: Annotated[Depth, Field(gt=0.0)] | None = 15.0
+    etch_width_nm: Annotated[Width, Field(gt=0.0)] | None = 500.0
     marked_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = 0.005
 
     @property

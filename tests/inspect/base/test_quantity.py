@@ -58,6 +58,33 @@ def test_an_unlikely_pitch_asks_whether_mm_were_meant():
     assert read_number("60", "--pitch", "um", PITCH) == 60.0
 
 
+@pytest.mark.parametrize(
+    ("written", "unit", "read"),
+    [
+        ("40000", "um", "of 40000 nm are flake_um 40 (or write 40000nm); flakes have 0.5 to 1000 µm"),
+        ("0.04", "um", "of 0.04 mm are flake_um 40 (or write 0.04mm); flakes have 0.5 to 1000 µm"),
+        ("1e9", "um", "flakes have 0.5 to 1000 µm: check the number and its unit"),
+        ("1e9um", "um", "flakes have 0.5 to 1000 µm: check the number and its unit"),
+        ("0.4", "nm", "of 0.4 µm are flake_um 400 (or write 0.4um); flakes have 0.5 to 1000 nm"),
+        ("2000", "mm", "of 2000 µm are flake_um 2 (or write 2000um); flakes have 0.5 to 1000 mm"),
+    ],
+)
+def test_a_firm_range_asks_for_the_unit_or_gives_its_ends(written, unit, read):
+    firm = Likely(0.5, 1000.0, "flakes", firm=True)
+    with pytest.raises(ValueError, match=r"^flake_um .*\? .") as problem:
+        read_number(written, "flake_um", unit, firm)
+    assert str(problem.value).endswith(read)
+    for value in ("0.5", "1000", "40 µm" if unit == "um" else "40"):
+        assert firm.low <= read_number(value, "flake_um", unit, firm) <= firm.high
+
+
+def test_a_pitch_in_nm_is_asked_about_and_with_its_unit_taken():
+    with pytest.raises(ValueError, match=r"ridges of 100000 nm are --pitch 100 \(or write 100000nm\); if"):
+        read_number("100000", "--pitch", "um", PITCH)
+    assert read_number("100000um", "--pitch", "um", PITCH) == 1e5
+    assert read_number("100000nm", "--pitch", "um", PITCH) == pytest.approx(100.0)
+
+
 def test_units_are_the_ends_of_names():
     assert [unit_of(name) for name in ("pitch_um", "light_angle_deg", "alpha_share", "albedo", "tail")] == [
         *("um", "deg", "share", "", "")

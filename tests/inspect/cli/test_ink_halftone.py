@@ -1,12 +1,20 @@
 """``anisoscope ink halftone``, ``compare`` and ``proof`` as a user calls them."""
 
 import os
+import re
 import subprocess
 import sys
 
 import numpy as np
 import PIL.Image
 import pytest
+
+from anisoscope.sim.light.colour.illuminant import standard
+from anisoscope.sim.light.colour.observer import xyz_weights
+from anisoscope.sim.light.colour.spaces import linear_srgb
+from anisoscope.sim.light.ink.model import brdf_at_angles
+from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
+from anisoscope.sim.proof.separation import separation
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +59,23 @@ def test_halftone_says_what_was_lost(anisoscope, image, tmp_path):
         assert words in done.out
     with PIL.Image.open(tmp_path / "d-synthetic-red.png") as film:
         assert np.array(film).mean() < 0.5  # white where the ink goes
+
+
+@pytest.mark.parametrize(("sheet", "told"), [(0.9, True), (0.01, False)])
+def test_a_bright_sheet_is_said_to_leave_no_dark_colours(anisoscope, image, tmp_path, sheet, told):
+    done = anisoscope("ink", "halftone", image, "--out", tmp_path / "d.png", "--substrate", sheet)
+    assert done.code == 0, done.err
+    assert ("the light of the sheet without ink at 20°" in done.out) == told
+    if told:  # of every channel by itself, summed over wavelengths
+        lamp = standard("D65")
+        inks = [synthetic_ink(name) for name in SYNTHETIC]
+        plan = separation(inks, lamp, substrate=sheet)
+        spectra = np.stack([brdf_at_angles(ink, 20.0, 20.0) for ink in inks])
+        weights = xyz_weights(lamp, inks[0].nm)
+        white = linear_srgb(plan.neutral @ spectra @ weights)
+        bare = linear_srgb(np.full(len(inks[0].nm), sheet / np.pi) @ weights)
+        said = float(re.search(r"darker than ([\d.]+) % of white", done.out)[1])
+        assert said == pytest.approx(100.0 * (bare / white).max(), rel=0.01)
 
 
 @pytest.mark.parametrize(

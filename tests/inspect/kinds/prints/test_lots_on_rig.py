@@ -1,11 +1,13 @@
 """Prints of a lot of unknown quality on the virtual rig: compared with each other from the fourth one on."""
 
+import re
+
 import pytest
 
 from anisoscope.base.errors import CalibrationError
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.inspection.recompute import recompute
-from anisoscope.inspection.run import inspect_part
+from anisoscope.inspection.run import inspect_part, report_again
 from anisoscope.kinds.prints.kind import PRINTS
 from anisoscope.operations.remembering import judge_lot, lot_mates, remember
 from anisoscope.operations.teaching import add_golden
@@ -56,6 +58,10 @@ def test_prints_of_a_lot_are_compared_from_the_fourth_one_on(of_lot):
     bad, _ = of_lot("X", {"missing_share": 0.1})
     assert bad.record.verdict == "FAIL"
     assert any("like the 4 other parts of the lot" in one for one in bad.record.reasons)
+    page = re.sub(r"data:[^\"]*", "", report_again(bad.folder, bad.record))
+    assert f"<h2>Compared with the other prints of lot {LOT}</h2>" in page
+    assert f"against 4 other prints of lot {LOT}" in page
+    assert "golden" not in re.sub(r"<[^>]*>|teach golden prints", "", page.partition("<h2>")[2])
 
     folders = [one.folder for one, _ in waiting]
     with pytest.raises(

@@ -212,12 +212,12 @@ def test_with_the_starting_limits_a_quarter_of_good_prints_stays_undecided(make_
     assert passing.pop("delta_e") == pytest.approx(0.73, abs=0.02)
     assert min(passing.values()) > 0.95
     told = [
-        re.search(r"only (\d+)% of good prints will pass the limit of ΔE2000 \(90% wanted\)", line)
+        re.search(r"too few good prints will pass \(90% wanted\).* only (\d+)% the limit of ΔE2000", line)
         for line in found.complaints
     ]
     assert [int(one[1]) for one in told if one] == [pytest.approx(73, abs=3)]
     (advice,) = (
-        re.search(r"widen the limit to ([\d.]+)", line) for line in found.complaints if "ΔE2000" in line
+        re.search(r"ΔE2000 \(([\d.]+) would do\)", line) for line in found.complaints if "ΔE2000" in line
     )
     wider = recipe.model_copy(update={"tolerances": PrintTolerances(delta_e=float(advice[1]))})
     again = check_print_recipe(wider, predict(wider))
@@ -306,6 +306,58 @@ def test_the_check_says_when_few_flakes_of_a_cell_shine(make_recipe, predict):
     assert "light.half_angle_deg and camera.half_angle_deg" in unknown
     with pytest.raises(ValidationError, match="greater than 0"):
         make_recipe(print={"flake_um": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "wrong", "asked"),
+    [
+        ("print", "flake_um", 1e9, "flakes have"),
+        ("print", "dot_um", 0.08, "dots of 0.08 mm are dot_um 80"),
+        ("area", "cell_mm", 100.0, "cells of 100 µm are cell_mm 0.1"),
+        ("defects", "film_nm", 0.003, "shifts of a spectrum of 0.003 µm are film_nm 3"),
+        ("region", "size_mm", [2000.0, 2000.0], "regions of 2000 µm are size_mm 2"),
+    ],
+)
+def test_a_length_in_another_unit_is_asked_about(make_recipe, table, key, wrong, asked):
+    with pytest.raises(ValidationError, match=asked):
+        make_recipe(**{table: {key: wrong}})
+
+
+def test_a_length_may_carry_its_unit(make_recipe):
+    assert make_recipe(print={"flake_um": "40000nm"}).print.flake_um == pytest.approx(40.0)
+
+
+def test_the_check_says_once_that_an_ink_file_states_no_uncertainty(make_recipe, predict, tmp_path):
+    def told(ink):
+        write_ink(ink, tmp_path / "ink.toml")
+        recipe = make_recipe(print={"ink": str(tmp_path / "ink.toml"), "wrong_inks": []}, area=None)
+        lines = check_print_recipe(recipe, predict(recipe)).complaints
+        return [one for one in lines if "states no uncertainty" in one], recipe
+
+    stated = synthetic_ink("synthetic-red")
+    (line,), recipe = told(replace(stated, uncertainty=None))
+    assert "anisoscope ink fit" in line
+    assert recipe.print.of_ink(recipe.print.read_ink()).rho_share > 9.0 * stated.uncertainty.rho_share
+    assert told(stated)[0] == []
+
+
+def test_the_check_says_when_the_sheet_outshines_the_ink(make_recipe, predict):
+    def told(coverage):
+        recipe = make_recipe(print={"coverage": coverage, "substrate": 0.9, "wrong_inks": []}, area=None)
+        expected = predict(recipe)
+        bare = make_recipe(print={"coverage": 1e-9, "substrate": 0.9, "wrong_inks": []}, area=None)
+        sheet = (1.0 - coverage) * predict(bare).channels.sum(axis=1)
+        share = (1.0 - sheet / expected.channels.sum(axis=1)).max()
+        lines = check_print_recipe(recipe, expected).complaints
+        return share, [one for one in lines if "sheet is brighter than the ink" in one]
+
+    share, (line,) = told(0.02)
+    assert share < 0.5
+    assert f"send {share:.0%} of the light" in line
+    assert "print.coverage (0.02) and print.substrate (0.9)" in line
+    share, none = told(0.6)
+    assert share > 0.5
+    assert none == []
 
 
 def test_a_check_without_any_uncertainty_is_no_check(make_recipe, predict):
