@@ -143,13 +143,18 @@ def decimal(text: str) -> str:
     return text if language() == "en" else _DECIMAL.sub(r"\1,\2", text)
 
 
-_PERCENT = re.compile(r"(?<=\d)%(?![0-9A-Fa-f]{2})")
-"""Not those of addresses, such as ``A1%20B``."""
+_PERCENT = re.compile(r"(?<=\d)(?<!=\d)(?<!=\d\d)%(?![0-9A-Fa-f]{2})")
+"""Not those of addresses, such as ``A1%20B``, and of options, such as ``roughness=20%``."""
+
+
+def per_cent(text: str, blank: str = " ") -> str:
+    """A text with a blank between a number and %, as every reader sees it; records and files hold it without."""
+    return _PERCENT.sub(f"{blank}%", text)
 
 
 def shown(value: Any) -> Any:  # noqa: ANN401 - what templates show
-    """A text with a blank between a number and %, where no line breaks; anything else, ready markup too, as it is."""
-    return _PERCENT.sub("\N{NO-BREAK SPACE}%", value) if type(value) is str else value
+    """A text with its `per_cent` where no line breaks; anything else, ready markup too, as it is."""
+    return per_cent(value, "\N{NO-BREAK SPACE}") if type(value) is str else value
 
 
 def _in_place(name: str, text: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from anisoscope.base.csv_style import COMMA, STYLES, writing
 from anisoscope.base.errors import UsageError
-from anisoscope.base.language import LANGUAGES, of_locale, speaking, translated, use
+from anisoscope.base.language import LANGUAGES, of_locale, per_cent, speaking, translated, use
 
 LOG = logging.getLogger("anisoscope")
 
@@ -173,7 +173,7 @@ def report(message: str) -> None:
         message: any text; line breaks become spaces.
     """
     text = " ".join(message.split())
-    print(f"anisoscope: {translated(text)}", file=sys.stderr)  # noqa: T201
+    print(f"anisoscope: {per_cent(translated(text))}", file=sys.stderr)  # noqa: T201
     for handler in LOG.handlers:
         if isinstance(handler, logging.FileHandler):
             handler.handle(LOG.makeRecord(LOG.name, logging.ERROR, "", 0, text, (), None))

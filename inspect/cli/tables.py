@@ -2,13 +2,16 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from anisoscope.base.language import per_cent
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.log import verbose
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
     from anisoscope.kinds.command_output import CommandOutput
 
@@ -17,12 +20,23 @@ _NUMBER = re.compile(r"[<>≤≥±+−-]?\s*\d|–$")
 """How a cell with a number begins; columns without any are aligned to the left."""
 
 
-def console(*, stderr: bool = False) -> "Console":
-    """Console that wraps at the width of the terminal, or at 120 columns without one."""
+@cache
+def _console_type() -> "type[Console]":
     from rich.console import Console
 
-    found = Console(stderr=stderr)
-    return found if found.is_terminal else Console(stderr=stderr, width=120)
+    class Reading(Console):
+        """Writes numbers in per cent as they are read."""
+
+        def render_str(self, text: str, **how: Any) -> "Text":  # noqa: ANN401 - as rich calls it
+            return super().render_str(per_cent(text), **how)
+
+    return Reading
+
+
+def console(*, stderr: bool = False) -> "Console":
+    """Console that wraps at the width of the terminal, or at 120 columns without one."""
+    found = _console_type()(stderr=stderr)
+    return found if found.is_terminal else _console_type()(stderr=stderr, width=120)
 
 
 def print_table(

@@ -127,8 +127,10 @@ def _size_of(text: str, size: str, one: _Sized) -> float:
     if given == "%":
         return 0.01 * value
     if usual == "%" and value > 1.0:
+        name = text.partition("=")[0]
         raise UsageError(
-            f"--defect {text}: {value:g} without a unit is {value:.0%}: write {value:g}% or {value / 100:g}"
+            f"--defect {text}: {value:g} without a unit is {value:.0%}: write {name}={value:g}% or "
+            f"{name}={value / 100:g}"
         )
     return value
 

@@ -10,7 +10,7 @@ from cyclopts import App, Group, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Html, Json
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.parameters.etching import DepthSearch, LobeShape, StepBlocks
 from anisoscope.parameters.fabrication import Fabrication
 from anisoscope.views.options import Given, Options, parse_numbers, with_options
@@ -198,7 +198,7 @@ def _deliver(found: "EtchedDesign", out: Path | None, html: Path | None, *, as_j
     rows = _width_rows(design)
     if rows:
         print_table("steps", ["axis", "width [µm]", "p_a"], rows)
-    sys.stdout.write("".join(f"{line}\n" for line in found.warnings))
+    print_lines(*found.warnings)
     for path in (out, html):
         if path is not None:
             sys.stdout.write(f"written: {path}\n")

@@ -1,6 +1,5 @@
 """``anisoscope profile edit`` and a command for every single step: height maps in, height maps out."""
 
-import sys
 from collections.abc import Callable, Sequence
 from inspect import Parameter as Argument
 from inspect import Signature
@@ -21,7 +20,7 @@ from anisoscope.cli.profile.many import (
     written_suffix,
 )
 from anisoscope.cli.profile.profile import AS_STATED, Scales, note_lost_layers, reader
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.tables import print_lines, print_table
 from anisoscope.profiles.editing import operations
 from anisoscope.views.options import quantity
 
@@ -163,7 +162,7 @@ def _show(edited: "HeightMap", out: Path, *, as_json: bool) -> None:
             ["missing", f"{100 * edited.missing_share:.3g}", "%"],
         ],
     )
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    print_lines(*lines)
 
 
 EXAMPLES = {

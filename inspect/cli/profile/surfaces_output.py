@@ -1,11 +1,10 @@
 """Output of ``profile make`` and ``profile spoil``."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.tables import print_lines, print_table
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
@@ -90,7 +89,7 @@ def deliver(
     lines += [f"defect: {_words(entry)}" for entry in surface.origin.get("defects", [])]
     lines += [] if written else [f"{out.suffix} has no place for this history; x3p, npz and gsf keep it"]
     print_table(out.name, ["quantity", "value", "unit"], table)
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    print_lines(*lines)
     return 0
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RigError, UsageError
-from anisoscope.base.language import decimal, message, translated
+from anisoscope.base.language import decimal, message, per_cent, translated
 from anisoscope.cli.help_page import MORE
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.log import chosen_language
@@ -306,7 +306,7 @@ def plain(reading: "Reading") -> str:
         _speed(reading.frames_per_s),
         *(f"{name}: {words}" for name, words in _lamps(reading)),
     ]
-    return "  ".join(words)
+    return per_cent("  ".join(words))
 
 
 def panel(reading: "Reading") -> str:
@@ -334,7 +334,7 @@ def panel(reading: "Reading") -> str:
         (message("frame"), f"{reading.frame}, {_speed(reading.frames_per_s)}; {ends}"),
     )
     width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
+    return per_cent("\n".join(f"{name:<{width}}  {text}" for name, text in rows))
 
 
 def blocks(histogram: tuple[float, ...]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.base.language import message, translated
+from anisoscope.base.language import message, per_cent, translated
 from anisoscope.cli.help_page import MORE
 from anisoscope.parameters.taking import Shot, Taking
 from anisoscope.views.options import Options
@@ -139,7 +139,7 @@ def _pair(text: str) -> "tuple[str, str | int | float | bool]":
 
 def write_line(text: str) -> None:
     """Write a line for the operator to stderr."""
-    print(translated(text), file=sys.stderr, flush=True)  # noqa: T201
+    print(per_cent(translated(text)), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def confirm(what: str, *, yes: bool) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from anisoscope.base.language import decimal, message
+from anisoscope.base.language import decimal, message, per_cent
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, Overwrite
 from anisoscope.cli.rig.options import OF_SHOT, RigPath, write_line
@@ -76,8 +76,8 @@ def _print(found: "Snapped") -> None:
             exposure=f"{found.exposure_s:g}",
             gain=f"{found.gain:g}",
             mean=f"{found.mean_counts:.1f}",
-            level=f"{found.mean:.1%}",
-            share=f"{found.saturated_share:.3%}",
+            level=per_cent(f"{found.mean:.1%}"),
+            share=per_cent(f"{found.saturated_share:.3%}"),
             sharpness=sharp,
         )
     )

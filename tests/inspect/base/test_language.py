@@ -135,6 +135,7 @@ def test_pages_have_a_blank_before_a_percent_sign_and_addresses_none():
         ),
         ("15.5 %, ±1%, 100%", "15.5 %, ±1\N{NO-BREAK SPACE}%, 100\N{NO-BREAK SPACE}%"),
         ("parts/A1%20B/report.html?a=5%C3%A4", "parts/A1%20B/report.html?a=5%C3%A4"),
+        ("write roughness=20% or wear=5%", "write roughness=20% or wear=5%"),
         ("%", "%"),
     ):
         assert shown(text) == wanted

@@ -151,10 +151,10 @@ def test_findings_on_a_grid(anisoscope, tmp_path):
     assert found["alpha_along"][0] == 0.03
     assert found["alpha_along"][-1] == 0.3
     shown = anisoscope(*grid).out
-    assert f"{default['share']:.1%}" in shown
+    assert f"{100.0 * default['share']:.1f} %" in shown
     assert "8 × 8" in shown
     picture = anisoscope(*grid, "--svg", tmp_path / "map.svg")
-    assert f"{default['share']:.1%}" in picture.out
+    assert f"{100.0 * default['share']:.1f} %" in picture.out
     assert ET.parse(tmp_path / "map.svg").getroot().tag.endswith("svg")
     page = anisoscope(*grid, "--html", tmp_path / "map.html")
     assert page.code == 0, page.err
@@ -167,8 +167,8 @@ def test_the_picture_in_the_docs_is_made_by_the_command_in_the_docs(anisoscope, 
     assert "anisoscope research findings --svg docs/pictures/experiment-findings.svg" in text
     done = anisoscope("research", "findings", "--json")
     share, falling = (done.json["maps"][0][key] for key in ("share", "share_falling_too"))
-    assert f"| all three | {share:.1%} | 0.0% |" in text
-    assert f"| all three, and falling on both sides | {falling:.1%} | 0.0% |" in text
+    assert f"| all three | {100.0 * share:.1f} % | 0.0 % |" in text
+    assert f"| all three, and falling on both sides | {100.0 * falling:.1f} % | 0.0 % |" in text
     anisoscope("research", "findings", "--svg", tmp_path / "map.svg")
     kept = ET.parse(root / "docs" / "pictures" / "experiment-findings.svg").getroot()
     made = ET.parse(tmp_path / "map.svg").getroot()

@@ -23,7 +23,7 @@ def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     page = rig.recipe.with_name("certificate.html")
     done = anisoscope("golden", "certify", *at, *folders, "--false-alarms", 0.7, "--html", page)
     assert (done.code, done.err) == (1, "")
-    assert "not certified: at most 77.64% false alarms with 95% confidence after 2 good parts" in done.out
+    assert "not certified: at most 77.64 % false alarms with 95 % confidence after 2 good parts" in done.out
     assert "Certificate of false alarms" in page.read_text(encoding="utf-8")
     done = anisoscope("golden", "certify", *at, *folders, "--false-alarms", 0.8, "--json")
     assert (done.code, done.json["certified"], done.json["needed"]) == (0, True, 2)

@@ -176,10 +176,10 @@ def test_missing_share_above_the_limit_is_refused_and_the_limit_can_be_moved(ani
     write_height_map(surface.with_height(height), tmp_path / "holes.x3p")
     refused = anisoscope("predict", tmp_path / "holes.x3p", "--no-uncertainty")
     assert (refused.code, refused.err.count("\n")) == (65, 1)
-    assert "missing (limit 25%)" in refused.err
+    assert "missing (limit 25 %)" in refused.err
     assert anisoscope("predict", tmp_path / "holes.x3p", "--max-missing", 0.5, *FAST).code == 0
     strict = anisoscope("predict", tmp_path / "holes.x3p", "--max-missing", 0.1)
-    assert "(limit 10%)" in strict.err
+    assert "(limit 10 %)" in strict.err
 
 
 def test_pixels_that_are_not_square_are_what_they_are(anisoscope, tmp_path):

@@ -167,7 +167,7 @@ def test_without_a_terminal_live_prints_lines(command, rig):
     lines = out.splitlines()
     assert code == 0
     assert [line.split("  ")[0] for line in lines] == ["frame 1", "frame 2", "frame 3"]
-    assert "focus 100% of best" in lines[0]
+    assert "focus 100 % of best" in lines[0]
     assert "frames/s" in lines[-1]
     assert not rig.bench.light_on
 

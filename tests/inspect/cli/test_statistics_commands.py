@@ -368,7 +368,7 @@ def test_camera_of_a_record(done, tmp_path):
     code, out, err = done("camera", path, "--html", tmp_path / "camera.html")
     assert (code, err) == (0, "")
     assert "system gain K" in out
-    assert "fit for measuring: linear within 0.10%, 65 dB of dynamic range" in out
+    assert "fit for measuring: linear within 0.10 %, 65 dB of dynamic range" in out
     assert "Camera SIM" in (tmp_path / "camera.html").read_text(encoding="utf-8")
     assert json.loads(done("camera", path, "--json")[1])["in_limits"] is True
     assert done("camera", tmp_path / "none.json")[0] == 3

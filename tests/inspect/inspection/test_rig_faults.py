@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.language import per_cent
 from anisoscope.calibration.fixture import calibrate_fixture
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.parameters.taking import Taking
@@ -108,7 +109,7 @@ class Outcome:
             if self.verdict == "INVALID"
             else f"{self.says.split('. ')[0].rstrip('.')}. {self.action}"
         )
-        return re.sub(r" fixture-\d{8}-\w+", "", found).replace("|", "\\|")
+        return per_cent(re.sub(r" fixture-\d{8}-\w+", "", found).replace("|", "\\|"))
 
 
 def outcome_of(inspect) -> Outcome:

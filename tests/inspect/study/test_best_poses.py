@@ -141,7 +141,7 @@ def test_sizes_that_are_asked_for_replace_those_of_the_recipe():
         (("ridge-angle=-0.5",), "above 0; both signs"),
         (("wear=nan",), "above 0"),
         (("roughness=twenty",), "'twenty' is no size in %"),
-        (("roughness=20",), "write 20% or 0.2"),
+        (("roughness=20",), "write roughness=20% or roughness=0.2"),
         (("height-loss=100%",), "height-loss: input should be less than 1"),
     ],
 )
