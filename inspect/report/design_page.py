@@ -64,6 +64,7 @@ class DesignPage:
     Attributes:
         title: heading.
         subtitle: one line below it.
+        answer: what the design does, in a sentence.
         warnings: what to mind.
         figures: (name, value, unit) of the design.
         lobes: along the axes.
@@ -77,6 +78,7 @@ class DesignPage:
 
     title: str
     subtitle: str
+    answer: str
     warnings: Sequence[str] = ()
     figures: Sequence[tuple[str, str, str]] = ()
     lobes: Sequence[LobeCurves] = ()
@@ -112,6 +114,7 @@ def write_design_page(page: DesignPage, path: Path) -> None:
     content = {
         "title": page.title,
         "subtitle": page.subtitle,
+        "answer": page.answer,
         "warnings": page.warnings,
         "figures": page.figures,
         "charts": charts,

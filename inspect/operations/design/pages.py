@@ -57,6 +57,8 @@ SOURCE = (
     "source blurs the lobe too, and mixtures count by area. Scalar waves, no shadows, one material."
 )
 DRAWN_BAND = (380.0, 750.0)
+LEAST_SPIKE = 1e-6
+"""Share of the light below which nothing is said to be left of a mirror."""
 
 
 def write_design_report(
@@ -74,6 +76,7 @@ def write_design_report(
         DesignPage(
             title=design.name,
             subtitle=_subtitle(design),
+            answer=answer_of(design),
             warnings=warnings,
             figures=figure_rows(design),
             lobes=_curves(design, axes),
@@ -108,6 +111,8 @@ def write_refined_report(design: DesignFile, layout: Layout, found: Refined, pat
         DesignPage(
             title=f"Dot of {design.name}",
             subtitle=_subtitle(design),
+            answer=f"The dot misses the expected lobe by {found.error:.1%}; the best random dot missed it by "
+            f"{found.start_error:.1%}. {_spike(design)}".rstrip(),
             figures=figures,
             phase=_phase(design),
             progress=found.history,
@@ -156,6 +161,9 @@ def write_pattern_report(layout: Layout, designs: Sequence[DesignFile], path: Pa
             title="Pattern of " + ", ".join(layout.names),
             subtitle=f"{wide:.2f} × {high:.2f} mm, {layout.index.size} dots of {layout.dot_um:g} µm, "
             f"{len(layout.tiles)} tiles",
+            answer=_told_apart(
+                [[float(each[k]) / brightest for (_, each), _ in views] for k in range(len(designs))]
+            ),
             figures=figures,
             phase=_phase(etched),
             pictures=pictures,
@@ -181,6 +189,51 @@ def _subtitle(design: DesignFile) -> str:
     kind = {"lobe": "glossy lobe", "antimirror": "anti-mirror", "mirror": "mirror", "mixture": "mixture"}
     passes = " + ".join(f"{depth:.1f}" for depth in design.passes_nm)
     return f"{kind[design.model.kind]}; {2 ** len(design.passes_nm)} levels from etch passes of {passes} nm"
+
+
+def answer_of(design: DesignFile) -> str:
+    """What a design does, in a sentence or two: how near it comes to what was wanted, and what is left of a mirror."""
+    found = design.figures
+    along = [f"{found[f'rel_l2_{axis}']:.1%} along {axis}" for axis in "xy" if f"rel_l2_{axis}" in found]
+    if along:
+        begins = f"The lobe misses what was wanted by {' and '.join(along)} (relative L2)."
+    elif "rel_l2" in found:
+        begins = f"The lobe misses what was wanted by {found['rel_l2']:.1%} (relative L2)."
+    elif "hole_x" in found and "hole_y" in found:
+        begins = f"Light is missing about the mirror direction, {found['hole_x']:.3g} wide in h_x and "
+        begins += f"{found['hole_y']:.3g} in h_y."
+    elif design.passes_nm:
+        begins = "Etched steps spread the light about the mirror direction."
+    else:
+        begins = "Nothing is etched: a mirror."
+    return f"{begins} {_spike(design)}".rstrip()
+
+
+def _spike(design: DesignFile) -> str:
+    """What the etch passes leave of the mirror."""
+    if not design.passes_nm:
+        return ""
+    low, high = design.band_nm
+    span = f"at {low:g} nm" if low == high else f"from {low:g} to {high:g} nm"
+    passes = " and ".join(f"{depth:.1f}" for depth in design.passes_nm)
+    spike = design.depths.epsilon**2
+    left = f"at most {spike:.2g} of the light (|τ|²)" if spike >= LEAST_SPIKE else "nothing"
+    return f"Etched {passes} nm deep, it leaves {left} of the bright spike of a mirror {span}."
+
+
+def _told_apart(levels: Sequence[Sequence[float]]) -> str:
+    """By how much the classes of a pattern, each from the side and from above, differ at most."""
+    if len(levels) < 2:
+        return "One reflectance covers the whole pattern."
+    ratios = [
+        (max(one[k] for one in levels) / max(min(one[k] for one in levels), 1e-9), where)
+        for k, where in enumerate(("to the side", "above"))
+    ]
+    most, where = max(ratios)
+    told = f"{most:.2g} times as bright" if most < 1e3 else "more than 1000 times as bright"
+    return (
+        f"With the lamp {where} the brightest class is {told} as the darkest: the pattern shows best there."
+    )
 
 
 def _curves(design: DesignFile, axes: Sequence[AxisLobe]) -> tuple[LobeCurves, ...]:

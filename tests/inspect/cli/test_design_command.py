@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import cv2
@@ -51,6 +52,27 @@ def test_every_command_of_the_page_runs_and_writes_its_files(page, folder):
     for command in page:
         for name in re.findall(r"--(?:out|html|png) (\S+)", command):
             assert (folder / name).stat().st_size > 100, (command, name)
+
+
+def test_pages_begin_with_what_the_design_does(anisoscope, folder, tmp_path):
+    def said(*line):
+        design, page = tmp_path / f"{line[0]}.toml", tmp_path / f"{line[0]}.html"
+        done = anisoscope("design", *line, "--out", design, "--html", page, cwd=folder)
+        assert done.code == 0, done.err
+        text = page.read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
+        figures = tomllib.loads(design.read_text(encoding="utf-8"))["figures"]
+        return figures, re.search(r'id="answer">([^<]*)<', text)[1]
+
+    found, answer = said("lobe", "--sigma", "0.04", "--sigma-y", "0.03")
+    missed = [float(one) for one in re.findall(r"([\d.]+) % along", answer)]
+    assert missed == pytest.approx([100.0 * found["rel_l2_x"], 100.0 * found["rel_l2_y"]], abs=0.051)
+    assert answer.endswith(
+        "Etched 125.0 nm deep, it leaves nothing of the bright spike of a mirror at 500 nm."
+    )
+    _, answer = said("antimirror", "--depths", "120")
+    assert "Light is missing about the mirror direction" in answer
+    left = np.cos(2.0 * np.pi * 120.0 / 500.0)  # of two levels of equal area, there and back
+    assert float(re.search(r"at most ([\d.e-]+) of the light", answer)[1]) == pytest.approx(left**2, rel=0.02)
 
 
 def test_json_has_the_design_and_its_figures(anisoscope, folder):
