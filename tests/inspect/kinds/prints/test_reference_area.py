@@ -139,10 +139,10 @@ def test_show_says_where_the_limit_comes_from(few, tmp_path, capsys):
     )
     path = tmp_path / "print.toml"
     path.write_text(text)
-    for count, says in ((15, "limit of the area: 1.00%, learnt from 15"), (4, "now there are 4")):
+    for count, says in ((15, "limit of the area: 1.00 %, learnt from 15"), (4, "now there are 4")):
         write_golden(golden_path(path), golden_of(few, [0.0] * count))
         assert command.show(recipe=path) == 0
         assert says in capsys.readouterr().out
     path.write_text(f"{text}max_share = 0.02\n")
     assert command.show(recipe=path) == 0
-    assert "2.00%, as the recipe says" in capsys.readouterr().out
+    assert "2.00 %, as the recipe says" in capsys.readouterr().out
