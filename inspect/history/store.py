@@ -432,7 +432,10 @@ def _check(history: History, address: Address, create: bool) -> None:
 
 
 def _none(address: Address) -> HistoryError:
-    return HistoryError(f"there is no history {address}: `anisoscope history add FOLDER…` makes one")
+    return HistoryError(
+        f"there is no history {address} yet: an inspection begins it, and `anisoscope history add FOLDER…` makes one "
+        "of finished ones"
+    )
 
 
 _BY_ID, _BY_SERIAL = "id:", "serial:"

@@ -533,7 +533,10 @@ def _check_plastic(
 
 def _check_choice(height_map: Path | None, ridges: Given[RidgeDesign], model: Model | None) -> None:
     if (height_map is None) == ("ridge_angle_deg" not in ridges):
-        raise UsageError("give either a height map file or --ridge-angle of an ideal design")
+        raise UsageError(
+            "give one of a height map file, --ridge-angle of an ideal design, and --recipe; for example: anisoscope "
+            "predict --ridge-angle 10"
+        )
     if height_map is not None and model in ("printed", "corrected"):
         raise UsageError(
             f"--model {model} needs a design (--ridge-angle); a height map is predicted by --model relief"

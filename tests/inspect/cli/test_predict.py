@@ -149,8 +149,11 @@ def test_a_wide_foot_needs_no_room_for_a_crest_that_nobody_stated(anisoscope, fo
     ("arguments", "words"),
     [
         (["MAP", "--model", "corrected"], "--model corrected needs a design"),
-        (["MAP", "--ridge-angle", 10], "either a height map file or --ridge-angle"),
-        ([], "either a height map file or --ridge-angle"),
+        (
+            ["MAP", "--ridge-angle", 10],
+            "one of a height map file, --ridge-angle of an ideal design, and --recipe",
+        ),
+        ([], "one of a height map file, --ridge-angle of an ideal design, and --recipe"),
         (["--ridge-angle", 10, "--model", "relief"], "needs a height map file"),
         (["--ridge-angle", 10, "--model", "printed", "--bounces", 2], "direct light only"),
         (["--ridge-angle", 10, "--bounces", 0], "1 or more"),
