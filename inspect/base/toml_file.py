@@ -63,7 +63,7 @@ def _length(value: object, info: ValidationInfo, likely: Likely) -> object:
 
 
 def length(likely: Likely) -> BeforeValidator:
-    """A length in the unit of its key, of a number or a text with a unit; one that is not likely is asked about."""
+    """A length in the unit of its key, from a number or a text with a unit; errors as of `read_number`."""
     return BeforeValidator(partial(_length, likely=likely))
 
 
