@@ -46,8 +46,12 @@ CALM_UM = 3.0
 """Standard deviation of the average over points."""
 MOST_LOG = 1.5
 """Deviation of ln L as which a greater one counts: one grain does not decide its cell alone."""
-SCATTERS = 4.0
+SCATTERS = 3.8
 """By how many (median − 16 % quantile) of the cells the cube root of D² may be above their median."""
+FEW = 4.0
+"""Points that cells have at the least: of fewer points the noise is not known."""
+TAIL = 1.6
+"""The means of cells of n points keep the tails of noisy points: `SCATTERS` is more by this share over n."""
 LEAST_SPREAD = 0.1  # of these roots
 PATCH = 5
 """Side in cells of the square of which the median shows a patch of another texture, and no mark that is narrower."""
@@ -65,8 +69,8 @@ CALM_SHARE = 0.25
 """Share of the pitch that scatters least: it shows the texture of the part, whatever the rest hides."""
 WALLS = 0.035
 """Standard deviation of ln L that walls of good parts have at most besides the texture of the facets."""
-CROWDED = 1.2
-"""Limit by all cells over that by the calm points from which on marks have raised it, no texture."""
+CROWDED = 1.17
+"""Limit by all cells over that by the calm ones, for cells of many points, from which on marks have raised it."""
 LEAST_BLUR = 0.3
 """Standard deviation in points below which an average is of one point."""
 CLEAR = 1.15
@@ -228,7 +232,7 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     level = _Points.of(cells, of_cells(place.astype(np.float32))).off(0.0).astype(np.float64)
     own = _cell_covariance(level, known)
     score = np.log1p(squares_in(own, level))
-    limit, spread, over = _limits(score, known, len(cells))
+    limit, spread, over = _limits(score, known, len(cells), max(pictures[0].size / score.size, FEW))
     squares = points.distance(off, covariance)
     score = np.maximum(score, limit * _texture_share(of_cells(np.log1p(squares))))
     beyond = (squares > np.expm1(limit)).astype(np.float32)
@@ -267,8 +271,10 @@ def _cell_covariance(cells: FloatArray, calm: npt.NDArray[np.bool_]) -> FloatArr
     return np.asarray(bounded + GLOW**2 * np.eye(poses))
 
 
-def _limits(score: FloatArray, calm: npt.NDArray[np.bool_], poses: int) -> tuple[float, float, float]:
-    """Limit of the cells, their spread, and limit by all of them over that by the calm ones.
+def _limits(
+    score: FloatArray, calm: npt.NDArray[np.bool_], poses: int, points: float
+) -> tuple[float, float, float]:
+    """Limit of the cells, their spread, and limit by all of them over that by the calm ones, as of many points.
 
     The limit by all cells is that of the texture, unless marks have raised it far beyond that of the calm ones.
 
@@ -276,10 +282,12 @@ def _limits(score: FloatArray, calm: npt.NDArray[np.bool_], poses: int) -> tuple
         score: (cell rows, cell cols) ln(1 + D²).
         calm: cells of the calmest part of the pitch.
         poses: degrees of freedom of D².
+        points: of a cell; noise of few of them differs over the pitch more.
     """
-    own, spread = _limit(score, poses)
-    least, calm_spread = _limit(score[calm], poses)
-    over = own / least
+    own, spread = _limit(score, poses, points)
+    least, calm_spread = _limit(score[calm], poses, points)
+    over = own / (least * (1.0 + 1.0 / points))
+    least = own / over
     most = max(1.0, 2.0 * CROWDED - over)
     return least * min(over, most), min(spread, calm_spread), over
 
@@ -290,12 +298,12 @@ def _usual_limit(poses: int) -> float:
     return poses * float(1.0 - variance + SCATTERS * np.sqrt(variance)) ** 3
 
 
-def _limit(scores: FloatArray, poses: int) -> tuple[float, float]:
+def _limit(scores: FloatArray, poses: int, points: float = np.inf) -> tuple[float, float]:
     """Limit of cells and their spread; the cube root of D² is nearly normal (Wilson and Hilferty, 1931)."""
     roots = np.cbrt(np.expm1(scores) / poses)
     middle, low = np.quantile(roots, [0.5, 0.16])
     spread = max(float(middle - low), LEAST_SPREAD)
-    limit = float(middle) + SCATTERS * spread
+    limit = float(middle) + SCATTERS * (1.0 + TAIL / points) * spread
     steep = 3.0 * poses * limit**2 / (1.0 + poses * limit**3)
     return float(np.log1p(poses * limit**3)), steep * spread
 
