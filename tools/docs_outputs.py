@@ -23,6 +23,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from anisoscope.base.language import per_cent
+
 ROOT = Path(__file__).resolve().parent.parent
 PICTURES = ROOT / "docs/pictures"
 MADE = PICTURES / "made.json"
@@ -54,9 +56,9 @@ def shown(text: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def demo_lines(said: str) -> list[str]:
-    """The verdicts of the demo as lines, from its JSON."""
+    """The verdicts of the demo as lines, as the console shows them, from its JSON."""
     parts = json.loads(said)["parts"]
-    return [f"{part['serial']:<10}  {part['verdict']:<4}  {part['finding']}" for part in parts]
+    return [f"{part['serial']:<10}  {part['verdict']:<4}  {per_cent(part['finding'])}" for part in parts]
 
 
 def left_out(lines: list[str], printed: list[str]) -> list[str]:
