@@ -61,6 +61,8 @@ PATCH_SCATTERS = 14.0
 LEAST_PATCH_SPREAD = 0.02
 GLOW = 0.05
 """Standard deviation of ln L of a cell in every pose by light of other cells that deviate."""
+LEAST_DEVIATION = 1.4 * GLOW
+"""Ln ratio of a pair of poses below which no cell deviates in this pair alone, however smooth the part."""
 LEAST_SCATTER = 0.005
 """Standard deviation of ln L that registration leaves at the least."""
 KEPT_CHANCE = 0.1

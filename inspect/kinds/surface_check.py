@@ -16,7 +16,7 @@ from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures
-from anisoscope.imaging.deviation_map import CellScatter
+from anisoscope.imaging.deviation_map import LEAST_DEVIATION, CellScatter
 from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
@@ -244,11 +244,11 @@ def _thresholds_text(
             f"marks: by the texture of the height map cells deviate beyond a ln ratio of about {each} (one a pair of "
             f"angles; more where noise scatters them), which shows {_marks(causes)}"
         )
-    even = causes_by(known.by_scatter(CellScatter.even(0.05, len(known.poses))))
+    even = causes_by(known.by_scatter(CellScatter.even(LEAST_DEVIATION, len(known.poses))))
     return (
         "marks: from which ln ratio on cells deviate is not known yet, because a design has no texture, and every part "
         f"sets its own limit by what its points scatter; {MOST_DEVIATION:g} is assumed here, which shows "
-        f"{_marks(causes)}; at 0.05 it would be {_marks(even)}. The first inspection states it"
+        f"{_marks(causes)}; at {LEAST_DEVIATION:g} it would be {_marks(even)}. The first inspection states it"
     )
 
 

@@ -170,7 +170,7 @@ LEAST_TILES = 5
 BY_CHANCE = 1e-5
 """Probability of a cell with the stated least scatter to exceed the limit."""
 SCATTERS = 5.0
-"""By how many (median − 16 % quantile) of the cells the score of a cell, ln(1 + D²),, may be above their median."""
+"""By how many (median − 16 % quantile) of the cells the score of a cell, ln(1 + D²), may be above their median."""
 LEAST_SPREAD = 0.02  # of these
 LIMIT_ERROR = 6.5
 """Standard error of the limit of the scores, in their spread over the root of their number."""
