@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, UsageError
@@ -44,17 +45,20 @@ AGAIN_SHARE = 0.05
 FOOT_HEIGHTS = (
     0.75  # distance from the wall within which light from the wall brightens the facet, in heights of it
 )
-U_ALPHA_SHARE = 0.4  # of the part's roughness before its photographs are seen
+U_ALPHA_SHARE = 0.15  # of the part's roughness before its photographs are seen
 U_LEAN_DEG = 3.0  # of the part's lean before, and of a cell's about that of the part
 U_ALONG_DEG = 0.3  # of the lean along the ridges before
-SHOWN_SHARE = 0.55
+SHOWN_SHARE = 0.66
 """Share of the variance of a fine texture's slopes that the points of a picture show: lens and pixels average."""
-BORDER_POINTS = 0.18
+BORDER_POINTS = 0.15
 """Width of the border of a cell, in points of the picture, in which the light is that of its neighbours."""
-CELL_ERROR = 0.005
+CELL_ERROR = 0.004
 """Relative standard uncertainty of the radiance of one cell against that of the part, without texture."""
 UNSEEN_CHANCE = 1e-5  # that a facet has a misfit as large
+MOST_LOG_ALPHA = 1.0  # by which the roughness of a part may differ from that of the recipe
+STARTS, SAME_STATE = 4, 0.05
 STEP_DEG = 0.1
+COARSE = 5  # steps of the table of leans between which what roughness changes hardly differs
 BELOW_DEG, ABOVE_DEG, ASIDE_DEG = 14.0, 8.0, 1.5
 """How far from the part's lean that of a cell is searched."""
 _AT_ONCE = 512
@@ -551,17 +555,20 @@ def _part(scene: _Scene, medians: FloatArray) -> _PartLean:
 
     def off(state: FloatArray, interface: float) -> FloatArray:
         across, along, rougher = state
-        material = scene.rougher(float(np.exp(rougher)), interface=interface)
+        material = scene.rougher(
+            float(np.exp(np.clip(rougher, -MOST_LOG_ALPHA, MOST_LOG_ALPHA))), interface=interface
+        )
         seen = scene.log_radiance(np.array([across]), np.array([along]), material)[:, 0]
-        before = (across - nominal) / U_LEAN_DEG, along / U_ALONG_DEG, rougher / U_ALPHA_SHARE
+        # a part of another roughness altogether is no more than unlikely
+        before = (across - nominal) / U_LEAN_DEG, along / U_ALONG_DEG, np.arcsinh(rougher / U_ALPHA_SHARE)
         return np.concatenate([(seen - medians) / doubt, before])
-
-    starts = [np.array([nominal + step, 0.0, 0.0]) for step in (0.0, -3.0, 3.0)]
 
     def fitted(start: FloatArray, interface: float) -> Any:  # noqa: ANN401 - a class of scipy without a public name
         return least_squares(off, start, ftol=1e-14, xtol=1e-12, gtol=1e-14, args=(interface,))
 
-    best = min((fitted(start, 1.0) for start in starts), key=lambda one: float(one.cost))
+    ways = [fitted(start, 1.0) for start in _starts(scene, medians, doubt)]
+    best = min(ways, key=lambda one: float(one.cost))
+    spread = _spread(best, ways)
     # the interface, on which the light hardly depends and which costs most, is that of the roughness found
     best = fitted(best.x, float(np.exp(best.x[2])))
     jacobian = np.asarray(best.jac)
@@ -569,7 +576,7 @@ def _part(scene: _Scene, medians: FloatArray) -> _PartLean:
     poses = len(medians)
     # how ln L of the poses moves the three: what all cells share is carried over
     carried = inner @ jacobian[:poses].T / doubt
-    variance = inner[0, 0]
+    variance = inner[0, 0] + spread[0]
     for one in scene.components:
         if one.source.endswith(_NOT_ADDED):
             continue
@@ -581,10 +588,37 @@ def _part(scene: _Scene, medians: FloatArray) -> _PartLean:
         (float(best.x[0]), float(best.x[1])),
         float(np.exp(best.x[2])),
         float(np.sqrt(variance)),
-        float(np.exp(best.x[2]) * np.sqrt(inner[2, 2])),
+        float(np.exp(best.x[2]) * np.sqrt(inner[2, 2] + spread[2])),
         bool(np.sqrt(own[1, 1]) < U_ALONG_DEG),
         -best.fun[:poses] * doubt,
     )
+
+
+def _starts(scene: _Scene, medians: FloatArray, doubt: FloatArray) -> list[FloatArray]:
+    """States (across, along, ln roughness) from which the fit to the medians begins: the best ones of a grid."""
+    across = scene.design.ridge_angle_deg + np.arange(-6.0, 6.1, 0.5)
+    along, rougher = np.linspace(-2.0, 2.0, 5) * U_ALONG_DEG, np.arange(-0.8, 0.81, 0.1)
+    leans = [one.ravel() for one in np.meshgrid(across, along, indexing="ij")]
+    seen = np.stack([scene.log_radiance(*leans, scene.rougher(float(np.exp(one)))) for one in rougher])
+    square = np.sum(((seen - medians[:, None]) / doubt[:, None]) ** 2, axis=1)
+    square += ((leans[0] - scene.design.ridge_angle_deg) / U_LEAN_DEG) ** 2 + (leans[1] / U_ALONG_DEG) ** 2
+    square += np.arcsinh(rougher / U_ALPHA_SHARE)[:, None] ** 2
+    field = square.reshape(len(rougher), len(across), len(along)).min(axis=2)
+    around = sliding_window_view(np.pad(field, 1, constant_values=np.inf), (3, 3)).min(axis=(2, 3))
+    lowest = sorted(np.argwhere(field <= around), key=lambda at: float(field[tuple(at)]))
+    best = square.reshape(*field.shape, len(along)).argmin(axis=2)
+    return [np.array([across[j], along[best[i, j]], rougher[i]]) for i, j in lowest[:STARTS]]
+
+
+def _spread(best: Any, ways: Sequence[Any]) -> FloatArray:  # noqa: ANN401 - a class of scipy without a public name
+    """(3,) variance about the best state by others that explain the medians: each counts by its probability."""
+    weights, off = np.zeros(len(ways)), np.zeros((len(ways), len(best.x)))
+    for k, one in enumerate(ways):
+        off[k] = one.x - best.x
+        known = np.abs(off[:k] - off[k]).max(axis=1) < SAME_STATE
+        if not known.any():
+            weights[k] = np.exp(best.cost - one.cost) / np.sqrt(np.linalg.det(one.jac.T @ one.jac))
+    return np.asarray(weights @ off**2 / weights.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -624,6 +658,8 @@ def _texture(scene: _Scene, part: _PartLean, seen: FloatArray, border: float) ->
     unlike_all = float(np.sum(unlike * points * steep) / max(float(np.sum(points * steep)), 1e-300))
     share = min(0.5 * unlike_all, 1.0)  # 1/n
     each = np.column_stack([np.sqrt(0.5) * bend, twist]) * (variance / SHOWN_SHARE * np.sqrt(share))
+    if not part.sees_along:  # a cell leans along by what no pose tells: U_ALONG_DEG bends its light, too
+        each = np.column_stack([each, np.sqrt(0.5) * bend[:, 1] * U_ALONG_DEG**2])
     return _Texture(np.asarray(each), float(np.sqrt(border * between)))
 
 
@@ -647,13 +683,24 @@ def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: _Texture) 
     )
     table = table.reshape(len(logs), len(across), len(along))
     slope = np.stack([np.gradient(table, STEP_DEG, axis=axis) for axis in (1, 2)], axis=-1)
+    # another roughness of the part stretches the leans about their mean, which it leaves
+    coarse = grid[::COARSE, ::COARSE]
+    rougher = scene.log_radiance(
+        coarse[..., 0].ravel(),
+        coarse[..., 1].ravel(),
+        scene.rougher(part.alpha + part.u_alpha, interface=part.alpha),
+    )
+    moved = rougher.reshape(len(logs), *coarse.shape[:2]) - table[:, ::COARSE, ::COARSE]
+    near = np.argmin(np.sum((coarse - centre) ** 2, axis=-1))
+    moved -= moved.reshape(len(logs), -1)[:, near, None, None]
     own_error = CELL_ERROR**2 * np.eye(len(logs)) + texture.of_light @ texture.of_light.T
     white = np.linalg.inv(np.linalg.cholesky(own_error))
     before = np.array([U_LEAN_DEG, U_ALONG_DEG]) ** -2.0
     prior = np.sum((grid - centre) ** 2 * before, axis=-1).ravel()
     flat = white @ table.reshape(len(logs), -1)
     square = np.sum(flat**2, axis=0) + prior
-    lean, u, misfit = np.empty((logs.shape[1], 2)), np.empty((logs.shape[1], 2)), np.empty(logs.shape[1])
+    lean, u, stretch = (np.empty((logs.shape[1], 2)) for _ in range(3))
+    misfit = np.empty(logs.shape[1])
     for first in range(0, logs.shape[1], _AT_ONCE):
         block = slice(first, first + _AT_ONCE)
         own = white @ logs[:, block]
@@ -667,8 +714,10 @@ def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: _Texture) 
         step = np.clip(np.einsum("nab,nb->na", gain, pull), -STEP_DEG, STEP_DEG)
         lean[block] = grid[i, j] + step
         u[block] = np.sqrt(np.diagonal(gain, axis1=1, axis2=2))
+        other = white @ moved[:, i // COARSE, j // COARSE]
+        stretch[block] = np.einsum("nab,npb,pn->na", gain, jacobian, other)
         misfit[block] = np.sum((left - np.einsum("npa,na->np", jacobian, step)) ** 2, axis=1)
     # where the poses contradict each other by more than that in most cells, all of it is larger
     usual = float(np.median(misfit)) / _median_chi2(max(len(logs) - 2, 1))
-    u = np.hypot(u * np.sqrt(max(usual, 1.0)), texture.of_lean_deg)
+    u = np.sqrt(u**2 * max(usual, 1.0) + texture.of_lean_deg**2 + stretch**2)
     return _Leans(lean, u, misfit / max(usual, 1.0))

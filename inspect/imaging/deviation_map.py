@@ -13,6 +13,7 @@ bounded by the calmest quarter of the pitch, as the facets are, and so is the li
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -71,8 +72,18 @@ CALM_SHARE = 0.25
 """Share of the pitch that scatters least: it shows the texture of the part, whatever the rest hides."""
 WALLS = 0.035
 """Standard deviation of ln L that walls of good parts have at most besides the texture of the facets."""
-CROWDED = 1.17
+CROWDED = 1.1
 """Limit by all cells over that by the calm ones, for cells of many points, from which on marks have raised it."""
+SHIFT_ROWS, FEWEST_RIDGES = 4, 4
+"""Every such row tells the shifts of the ridges, of which so many tell a pitch."""
+LEAST_SHIFT, SURE = 0.012, 5.0
+"""Shift in pitches of the outermost ridges, also in its standard uncertainties, from which on the pitch is mended."""
+GLINT = 0.11
+"""Standard deviation of ln L of a cell of which all light is the glint of a crest."""
+PHASES, LEAST_CELLS = 8, 40
+"""Parts of a pitch whose cells scatter alike, and cells of which the scatter of one is known."""
+ALIKE = 1.15
+"""Ratio of limits of cells that scatter alike."""
 LEAST_BLUR = 0.3
 """Standard deviation in points below which an average is of one point."""
 CLEAR = 1.15
@@ -220,7 +231,9 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     except MeasurementError:  # no pattern to be compared with, or too few ridges
         rows, cols = pictures[0].shape
         place = np.broadcast_to((np.arange(cols) + 0.5) * pixel_um / pitch_um, (rows, cols))
-    points = _Points.of(np.stack([np.log(np.maximum(one, 1e-9)) for one in pictures]), place)
+    logs = np.stack([np.log(np.maximum(one, 1e-9)) for one in pictures]).astype(np.float32)
+    place = _of_exact_pitch(logs, place)
+    points = _Points.of(logs, place)
     off = points.off(CALM_UM / pixel_um)
     covariance, calm = points.covariance(off)
     size = measured.cells.shape[:0:-1]
@@ -231,9 +244,11 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     cells = np.stack([of_cells(one) for one in off])
     share = of_cells(calm)
     known = share >= max(float(np.quantile(share, 1.0 - CALM_SHARE)), 0.5 * float(share.max()))
-    level = _Points.of(cells, of_cells(place.astype(np.float32))).off(0.0).astype(np.float64)
+    phase = of_cells(place.astype(np.float32))
+    level = _Points.of(cells, phase).off(0.0).astype(np.float64)
     own = _cell_covariance(level, known)
-    score = np.log1p(squares_in(own, level))
+    squares = squares_in(own, level)
+    score = np.log1p(squares / _glint_scales(squares, phase, points.glints(), level, own, known))
     limit, spread, over = _limits(score, known, len(cells), max(pictures[0].size / score.size, FEW))
     squares = points.distance(off, covariance)
     score = np.maximum(score, limit * _texture_share(of_cells(np.log1p(squares))))
@@ -252,6 +267,85 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
         own,
         MarkSigns.of(cells, of_cells(beyond), of_cells(beyond * calm), poses),
     )
+
+
+def _of_exact_pitch(logs: Image, place: FloatArray) -> FloatArray:
+    """(rows, cols) places in pitches of (P, rows, cols) ln L, by the shifts of the ridges against the usual profile.
+
+    The glint of a rounded crest is as narrow as a point: where the pitch of few ridges is wrong by half a percent,
+    those at the border of a region seem to deviate from end to end.
+    """
+    for _ in range(_ROUNDS):
+        some = place[::SHIFT_ROWS]
+        points = _Points.of(logs[:, ::SHIFT_ROWS], some)
+        slopes = points.slopes()
+        ridge = np.round(some).astype(int)
+        first, count = int(ridge.min()), int(np.ptp(ridge)) + 1
+        number = (ridge - first + np.arange(len(ridge))[:, None] * count).ravel()
+        along, steep = (
+            np.bincount(number, np.einsum("pij,pij->ij", one, slopes).ravel(), len(ridge) * count).reshape(
+                -1, count
+            )
+            for one in (points.off(0.0), slopes)
+        )
+        least = 0.1 * float(np.median(steep))
+        known = np.flatnonzero(np.any(steep > least, axis=0))
+        if len(known) < FEWEST_RIDGES:
+            break
+        shift = np.array(
+            [
+                np.median(a[s > least] / s[s > least])
+                for a, s in zip(along.T[known], steep.T[known], strict=True)
+            ]
+        )
+        one, other = np.triu_indices(len(known), 1)
+        rise = float(np.median((shift[other] - shift[one]) / (known[other] - known[one])))  # Theil and Sen
+        left = shift - rise * known
+        middle, most = float(np.median(left)), 0.5 * abs(rise) * count
+        u = 1.4826 * float(np.median(np.abs(left - middle))) / np.sqrt(len(known))
+        if most < max(LEAST_SHIFT, SURE * u):
+            break
+        place = place + np.clip(middle + rise * (place - first), -2.0 * U_PLACE, 2.0 * U_PLACE)
+    return place
+
+
+def _glint_scales(
+    squares: FloatArray,
+    phase: FloatArray,
+    glint: FloatArray,
+    level: FloatArray,
+    own: FloatArray,
+    calm: npt.NDArray[np.bool_],
+) -> FloatArray:
+    """(cell rows, cell cols) by how much D² of good cells is greater than that of the calm ones.
+
+    Args:
+        squares: (cell rows, cell cols) D².
+        phase: likewise, in pitches.
+        glint: (P, `PHASES`) share of the light that is glint.
+        level: (P, cell rows, cell cols) deviations of ln L.
+        own: (P, P) covariance by which D² is.
+        calm: cells of the calmest part of the pitch.
+
+    The glint of a rounded crest is the light of few facets of the texture, so that it scatters. Cells of a phase of
+    the ridges have their own scale, from those that deviate least, and at most the one that their glint explains: marks
+    of the crests, which most cells of a phase may have, do not raise it further.
+    """
+
+    def limit(some: FloatArray) -> float:
+        """Of the cube roots, were they normal: from a quarter of the cells, which marks leave as they are."""
+        quarter, low = np.quantile(np.cbrt(some), [0.25, 0.08])
+        return float(quarter + (SCATTERS + 0.674) / (1.405 - 0.674) * (quarter - low))
+
+    kind = np.floor(np.mod(phase, 1.0) * PHASES)
+    texture = float(np.trace(np.linalg.solve(own, _most_covariance(level[:, calm]))))
+    found, least = np.ones(squares.shape), ALIKE * limit(squares[calm])
+    for number in range(PHASES):
+        chosen = kind == number
+        if chosen.sum() >= LEAST_CELLS:
+            explained = 1.0 + float((GLINT * glint[:, number]) ** 2 @ np.diag(np.linalg.inv(own))) / texture
+            found[chosen] = np.clip((limit(squares[chosen]) / least) ** 3, 1.0, explained)
+    return found
 
 
 def _texture_share(logs: FloatArray) -> FloatArray:
@@ -389,6 +483,11 @@ class _Points:
             row[:] = np.interp(np.arange(self.bins), filled, row[filled], period=self.bins)
         return found
 
+    @cached_property
+    def _usual(self) -> FloatArray:
+        """(P, B) usual ln L over the phase."""
+        return self._medians(self.logs)
+
     def _rising(self, medians: FloatArray) -> Image:
         """(P, B · `FINE`) profiles that rise evenly from the middle of a bin to that of the next."""
         steps = (np.arange(self.bins * FINE) + 0.5) / FINE - 0.5
@@ -400,7 +499,7 @@ class _Points:
 
         The profile rises evenly from bin to bin, and by what that leaves in the middle of one.
         """
-        rising = self._rising(self._medians(self.logs))
+        rising = self._rising(self._usual)
         found = np.stack([logs - table[self.fine] for logs, table in zip(self.logs, rising, strict=True)])
         for off, row in zip(found, self._medians(found).astype(np.float32), strict=True):
             np.subtract(off, np.repeat(row, FINE)[self.fine], out=off)
@@ -408,6 +507,11 @@ class _Points:
             if sigma > LEAST_BLUR:
                 cv2.GaussianBlur(off, (0, 0), sigma, dst=off, borderType=cv2.BORDER_REFLECT)
         return found
+
+    def slopes(self) -> Image:
+        """(P, rows, cols) by how much the usual ln L of a point rises with its place, per pitch."""
+        table = np.gradient(self._rising(self._usual), axis=1) * (self.bins * FINE)
+        return np.asarray(table.astype(np.float32)[:, self.fine])
 
     def covariance(self, off: Image) -> tuple[FloatArray, Image]:
         """Covariance of the deviations in every bin, of most of its points and at most as of a good part.
@@ -435,9 +539,16 @@ class _Points:
         bounded = _at_most(found + steep, texture + steep + walls * np.eye(poses))
         return bounded, np.repeat(calm, FINE)[self.fine].astype(np.float32)
 
+    def glints(self) -> FloatArray:
+        """(P, `PHASES`) mean share of the light of cells that is glint: more than the facets send at the median."""
+        light = np.exp(self._usual)
+        share = np.maximum(1.0 - np.median(light, axis=1, keepdims=True) / light, 0.0)
+        inside = (np.arange(PHASES) + 0.5)[:, None] / PHASES + (np.arange(8) - 3.5) / 8.0 / CELLS_PER_PITCH
+        return np.asarray(share[:, np.floor(np.mod(inside, 1.0) * self.bins).astype(int)].mean(axis=2))
+
     def _steepness(self) -> FloatArray:
         """(B, P, P) mean products of the slopes of the profiles per pitch, over every bin and its neighbours."""
-        slopes = np.gradient(self._rising(self._medians(self.logs)), axis=1) * (self.bins * FINE)
+        slopes = np.gradient(self._rising(self._usual), axis=1) * (self.bins * FINE)
         each = slopes.reshape(len(slopes), self.bins, FINE)
         products = np.einsum("pbf,qbf->bpq", each, each) / FINE
         return np.asarray(np.mean([np.roll(products, step, axis=0) for step in (-1, 0, 1)], axis=0))

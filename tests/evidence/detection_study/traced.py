@@ -53,7 +53,8 @@ class Part:
     """A part of ridges that lean differently, with waves of its form and marks, and what the camera sees of it.
 
     ``formed`` adds the heights over (x, y) in µm; ``spoiled`` is a defect with its values, or changes a height map
-    with a generator. ``changed`` (rows, cols) of the pictures is the largest change of a height by the defect in µm.
+    with a generator. ``crest_um`` is the radius of the crests. ``changed`` (rows, cols) of the pictures is the largest
+    change of a height by the defect in µm.
     """
 
     def __init__(
@@ -72,12 +73,13 @@ class Part:
         spoiled: Any = None,
         phase: float = PHASE,
         albedo: float = 0.1,
+        crest_um: float = 0.0,
         lamp_um: float | None = None,
     ) -> None:
         rng = np.random.default_rng(seed)
         cols, rows = (int(one / POINT_UM) + 1 for one in size)
         x = np.arange(cols, dtype=np.float64) * POINT_UM - phase * pitch
-        design = RidgeDesign(pitch, angle)
+        design = RidgeDesign(pitch, angle, edge_radius_um=crest_um)
         # a crest is one chord of the mesh: ridges are stretched from foot to foot, so that its slope stays
         height, ridge = design.profile(x), np.floor((x + design.wall_width_um) / pitch).astype(int)
         for number in np.unique(ridge):

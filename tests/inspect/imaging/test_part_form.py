@@ -21,6 +21,8 @@ PRODUCTS = (
     {"angle": 15.0, "pitch": 80.0, "alpha": 0.11, "lobe": "ggx"},
 )
 SIZE = (1400.0, 1200.0)
+CRESTS_UM = (0.0, 2.0, 4.0, 8.0)
+"""Radii of the crests of the parts; their recipes say sharp ones."""
 
 
 def leaning(slope_deg, width=14, height=25):
@@ -123,6 +125,7 @@ def traced(name, number, poses=NINE):
     product = PRODUCTS[number % len(PRODUCTS)]
     part = Part(
         40_000 + 100 * number + len(name), poses, size=SIZE, spread=0.1, phase=rng.random(), **product,
+        crest_um=CRESTS_UM[number // len(PRODUCTS) % len(CRESTS_UM)],
         formed=FORMED[name](rng) if name in FORMED else None,
         spoiled=LYING[name](rng) if name in LYING else None,
     )  # fmt: skip
