@@ -599,7 +599,9 @@ def _starts(scene: _Scene, medians: FloatArray, doubt: FloatArray) -> list[Float
     across = scene.design.ridge_angle_deg + np.arange(-6.0, 6.1, 0.5)
     along, rougher = np.linspace(-2.0, 2.0, 5) * U_ALONG_DEG, np.arange(-0.8, 0.81, 0.1)
     leans = [one.ravel() for one in np.meshgrid(across, along, indexing="ij")]
-    seen = np.stack([scene.log_radiance(*leans, scene.rougher(float(np.exp(one)))) for one in rougher])
+    seen = np.stack(
+        [scene.log_radiance(leans[0], leans[1], scene.rougher(float(np.exp(one)))) for one in rougher]
+    )
     square = np.sum(((seen - medians[:, None]) / doubt[:, None]) ** 2, axis=1)
     square += ((leans[0] - scene.design.ridge_angle_deg) / U_LEAN_DEG) ** 2 + (leans[1] / U_ALONG_DEG) ** 2
     square += np.arcsinh(rougher / U_ALPHA_SHARE)[:, None] ** 2

@@ -250,9 +250,9 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     squares = squares_in(own, level)
     score = np.log1p(squares / _glint_scales(squares, phase, points.glints(), level, own, known))
     limit, spread, over = _limits(score, known, len(cells), max(pictures[0].size / score.size, FEW))
-    squares = points.distance(off, covariance)
-    score = np.maximum(score, limit * _texture_share(of_cells(np.log1p(squares))))
-    beyond = (squares > np.expm1(limit)).astype(np.float32)
+    of_points = points.distance(off, covariance)
+    score = np.maximum(score, limit * _texture_share(of_cells(np.log1p(of_points))))
+    beyond = (of_points > np.expm1(limit)).astype(np.float32)
     poses = recipe.poses.poses()
     pairs = consecutive_pairs(poses)
     scatter = np.maximum(1.4826 * np.median(np.abs(cells), axis=(1, 2)), LEAST_SCATTER)
@@ -339,7 +339,7 @@ def _glint_scales(
 
     kind = np.floor(np.mod(phase, 1.0) * PHASES)
     texture = float(np.trace(np.linalg.solve(own, _most_covariance(level[:, calm]))))
-    found, least = np.ones(squares.shape), ALIKE * limit(squares[calm])
+    found, least = np.ones(squares.shape), ALIKE * max(limit(squares[calm]), LEAST_SPREAD)
     for number in range(PHASES):
         chosen = kind == number
         if chosen.sum() >= LEAST_CELLS:
