@@ -88,29 +88,43 @@ SETS = {
 @pytest.mark.statistics
 @pytest.mark.parametrize("name", SETS)
 def test_uncertainties_of_cells_of_many_parts(name):
-    """Of parts as rough as the recipe ± 20 %, in poses of which the light is known to 2 %."""
-    recipe, poses, changed = SETS[name]
-    rms, z = np.sqrt(
-        np.mean(np.square([errors_of(seed, recipe, poses, changed) for seed in range(100, 124)]), axis=0)
-    ).T
-    assert rms.max() < 0.12
-    assert 0.85 < z.min() <= z.max() < 1.25
+    """Of parts as rough as the recipe ± 15 %, in poses of which the light is known to 2 %."""
+    each = np.array([errors_of(seed, *SETS[name]) for seed in range(100, 124)])
+    known = np.isfinite(each).all(axis=1)
+    assert known[:, 0].all()
+    assert not known[:, 1].any() or known[:, 1].mean() > 0.9
+    for axis in np.flatnonzero(known.any(axis=0)):
+        rms, z = np.sqrt(np.mean(np.square(each[known[:, axis], :, axis]), axis=0))
+        assert rms < 0.12
+        assert 0.85 < z < 1.35
 
 
 def errors_of(seed, recipe, poses, changed):
-    """Rms in degrees and in u of the leans across, and along if known, about their means."""
+    """Standard deviations of the leans in degrees and in u, each across and along; NaN of what no pose tells."""
     rng = np.random.default_rng([5, seed])
-    alpha = changed.get("alpha", 0.08) * (1.0 + 0.2 * rng.standard_normal())
+    alpha = changed.get("alpha", 0.08) * (1.0 + 0.15 * rng.standard_normal())
     form = {"formed": lambda x, y: 1.5 * np.sin(y / 130.0 + x / 400.0)}
     part = Part(seed, poses, **changed | form | {"alpha": alpha})
     part.pictures = [one * np.float32(np.exp(0.02 * rng.standard_normal())) for one in part.pictures]
     found = part.map_by(recipe)
-    across, along = part.leans(found)
-    each = [(found.angle_deg - across, found.u_deg)]
-    if found.along_deg is not None:
-        each.append((found.along_deg - along, found.u_along_deg))
-    known = np.isfinite(found.angle_deg)
-    return [(float(np.std(off[known])), float(np.std((off / u)[known]))) for off, u in each]
+    known, (across, along) = np.isfinite(found.angle_deg), part.leans(found)
+    errors = np.full((2, 2), np.nan)
+    for axis, lean, u, true in (
+        (0, found.angle_deg, found.u_deg, across), (1, found.along_deg, found.u_along_deg, along),
+    ):  # fmt: skip
+        if lean is not None:
+            errors[:, axis] = np.std((lean - true)[known]), np.std(((lean - true) / u)[known])
+    return errors
+
+
+@pytest.mark.parametrize("alpha", [0.055, 0.2])
+def test_a_part_of_half_or_twice_the_roughness_has_a_map(alpha):
+    """Its fit ran out of the range of a material, and the inspection ended with an error about the recipe."""
+    recipe = recipe_of(15.0, 80.0, 0.11, tail=1.0)
+    found = Part(6, suggested(recipe), **STEEP | {"lobe": "ggx", "alpha": alpha}).map_by(recipe)
+    assert np.isfinite(found.angle_deg).mean() > 0.9
+    assert abs(np.nanmean(found.angle_deg) - 15.0) < 0.1
+    assert abs(found.alpha - np.hypot(alpha, TEXTURE) / np.hypot(0.11, TEXTURE)) < 3.0 * found.u_alpha
 
 
 def test_a_missing_ridge_is_the_worst_or_unseen():
