@@ -75,7 +75,7 @@ WALLS = 0.035
 CROWDED = 1.1
 """Limit by all cells over that by the calm ones, for cells of many points, from which on marks have raised it."""
 SHIFT_ROWS, FEWEST_RIDGES = 4, 4
-"""Every such row tells the shifts of the ridges, of which so many tell a pitch."""
+"""Step of the rows by which ridges are shifted, and ridges from which on they have a pitch."""
 LEAST_SHIFT, SURE = 0.012, 5.0
 """Shift in pitches of the outermost ridges, also in its standard uncertainties, from which on the pitch is mended."""
 GLINT = 0.11
