@@ -64,6 +64,7 @@ def test_the_table_of_a_fit_says_scale_and_warnings(anisoscope, folder):
     done = anisoscope("ink", "fit", folder / "red.csv", "--floor", "0.01", "--reflectance", "0.95")
     assert done.code == 0, done.err
     assert "BRDF = 0.95/π × ratio" in done.out
+    assert "one plane was read: taken as isotropic" in done.out
     assert re.search(r"warning: \d+ readings dropped: \d+ near the noise floor", done.out)
 
 
