@@ -7,6 +7,7 @@ A camera smears a picture: its lens, its pixels, and what resamples them put som
 neighbours, and a grain that is much smaller than a cell is hidden by it. Levels are stated for several smears.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -87,6 +88,10 @@ class CellLevels:
         alone = off.reshape(-1, rows, per_cell, cols, per_cell).mean(axis=(2, 4))
         return cls(_levels(alone), _levels(lines - _same_flank(lines)))
 
+    def of_poses(self, poses: Sequence[int]) -> "CellLevels":
+        """Restrict to selected poses."""
+        return CellLevels(self.alone[list(poses)], self.lines[list(poses)])
+
     def deviating(self, scatter: CellScatter) -> npt.NDArray[np.bool_]:
         """(cell rows, cell cols) True where a cell deviates, by the scatter of good cells."""
         lines = STEP * self.lines[:, None, :].astype(np.float64)
@@ -139,6 +144,10 @@ class SmearedLevels:
     def of(cls, fine: FloatArray, per_cell: int) -> "SmearedLevels":
         """Levels of a map: (P, rows, cols) radiances of parts of cells, of which a cell has ``per_cell`` a side."""
         return cls(tuple(CellLevels.of(_logs(fine, per_cell, one), per_cell) for one in SMEARS))
+
+    def of_poses(self, poses: Sequence[int]) -> "SmearedLevels":
+        """Restrict to selected poses."""
+        return SmearedLevels(tuple(one.of_poses(poses) for one in self.each))
 
     @property
     def cells(self) -> int:

@@ -196,14 +196,11 @@ def _good_part(whitener: FloatArray, u_background: float | None) -> _Curve:
 
 def _lead(curve: _Curve, other: _Curve) -> FloatArray:
     """(S,) excess of the likelihood of every point of a curve over the best of another one, as a χ²."""
-    found = np.full(len(curve.extents), np.inf)
-    for k in range(len(other.extents)):
-        off = (curve.whitened - other.whitened[k]) @ other.scaled[k].T
-        cost = np.sum(off**2, axis=1) + other.size[k]
-        if other.variance is not None:
-            cost += (curve.share - other.share[k]) ** 2 / other.variance[k]
-        np.minimum(found, cost, out=found)
-    return found - curve.size
+    off = (curve.whitened - other.whitened[:, None]) @ other.scaled.transpose(0, 2, 1)
+    cost = np.sum(off**2, axis=2) + other.size[:, None]
+    if other.variance is not None:
+        cost += (curve.share - other.share[:, None]) ** 2 / other.variance[:, None]
+    return np.asarray(cost.min(axis=0) - curve.size)
 
 
 def _least(curve: _Curve, lead: FloatArray) -> float | None:

@@ -16,7 +16,7 @@ from anisoscope.base.regular_file import MOST_PICTURE_BYTES, bounded_bytes
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.causes import TAILS, tail_cause
 from anisoscope.diagnosis.cell_levels import SMEARS, CellLevels, SmearedLevels
-from anisoscope.diagnosis.signatures import Signature, Signatures
+from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
 from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.imaging.deviation_map import CellScatter
 from anisoscope.prediction.expectation import part_uncertainty
@@ -28,6 +28,7 @@ def cached_signatures(
     light_angle_deg: float,
     advance: Advance = silent,
     causes: CauseModel = PLASTIC_CAUSES,
+    wider: SurfaceRecipe | None = None,
 ) -> Signatures:
     """Cached signatures of a recipe; errors as for `signatures`.
 
@@ -36,8 +37,16 @@ def cached_signatures(
         light_angle_deg: of the rig.
         advance: progress.
         causes: of the kind of part.
+        wider: the same recipe with further tilts, whose signatures are wanted as well: all are computed in one.
     """
     recipe = recipe.deciding()
+
+    def computed() -> Signatures:
+        if wider is None or causes.signatures is not signatures:
+            return causes.signatures(recipe, light_angle_deg, advance, None)
+        known = cached_signatures(wider, light_angle_deg, advance, causes)
+        return signatures(recipe, light_angle_deg, advance, known=known)
+
     return (
         Cache()
         .entry(
@@ -47,7 +56,7 @@ def cached_signatures(
             causes.signatures.__module__,
         )
         .result(
-            lambda: causes.signatures(recipe, light_angle_deg, advance, None),
+            computed,
             _packed,
             lambda content: _unpacked(content, recipe, causes),
         )

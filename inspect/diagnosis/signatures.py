@@ -102,6 +102,12 @@ class Signature:
 
         return PchipInterpolator(self.extents, np.column_stack([self.change, self.share]), axis=0)
 
+    @property
+    def complete(self) -> bool:
+        """Whether fewer poses would leave nothing more to be known."""
+        bends = self.tangents is not None or not _bends(self.cause)
+        return bends and len(self.extents) == len(self.cause.extents)
+
     @cached_property
     def table(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(T,) finely spaced extents, with (T, P) changes and (T,) shares."""
@@ -229,6 +235,7 @@ def signatures(
     light_angle_deg: float,
     advance: Advance = silent,
     names: Sequence[str] | None = None,
+    known: Signatures | None = None,
 ) -> Signatures:
     """Compute the signatures of the causes for the poses of a recipe.
 
@@ -237,20 +244,29 @@ def signatures(
         light_angle_deg: angle between light and camera.
         advance: called when a cause is begun; causes are computed by several threads.
         names: causes to compute, "tail" for another tail of the lobe; all of them if None.
+        known: of the same recipe with further poses; what they hold is not computed again.
 
     Raises:
         HeightMapError: the recipe's height map cannot be read or used.
     """
     recipe = recipe.deciding()
     scene = _Scene(recipe, light_angle_deg)
+    places = [] if known is None else [known.poses.index(pose) for pose in scene.poses]
+    every = () if known is None else (*known.found, *([] if known.tail is None else [known.tail]))
+    held = {one.cause.name: one for one in every if one.complete}
     good = scene.look(scene.surface, scene.state, scene.groove, with_map=True)
     causes = [cause for cause in causes_of(recipe) if names is None or cause.name in names]
     begun = itertools.count()
 
+    def signature(cause: Cause) -> Signature:
+        if cause.name in held:
+            return _among(held[cause.name], places, good)
+        return _signature(scene, cause, good)
+
     def signature_of(cause: Cause) -> Signature | str:
         advance(f"signature of {cause.name}", next(begun), len(causes))
         try:
-            return _signature(scene, cause, good)
+            return signature(cause)
         except (HeightMapError, ModelError) as problem:
             return str(problem)
 
@@ -261,7 +277,7 @@ def signatures(
     asked = names is None or TAIL in names
     if asked and recipe.material.material().second_lobe is None:
         with contextlib.suppress(HeightMapError, ModelError):
-            tail = _signature(scene, tail_cause(recipe.material.material().tail), good)
+            tail = signature(tail_cause(recipe.material.material().tail))
     advance("signatures", len(causes), len(causes))
     share = 0.0 if good.share is None else good.share
     scatter = None if good.levels is None or scene.design is not None else good.scatter
@@ -338,8 +354,7 @@ def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False
     looks = {extent: look for extent in cause.extents if np.all((look := seen(extent)).radiance > 0.0)}
     if len(looks) < 2:
         raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
-    bends = (cause.doubt < DOUBTFUL or cause.extruded) and cause.name != TAIL
-    tangents = scene.tangents(cause, list(looks)) if bends and not bare else None
+    tangents = scene.tangents(cause, list(looks)) if _bends(cause) and not bare else None
     changes = [np.log(look.radiance / base.radiance) for look in looks.values()]
     own = good.share or 0.0
     shares = [max((own if look.share is None else look.share) - own, 0.0) for look in looks.values()]
@@ -348,6 +363,30 @@ def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False
     forms = _forms([look.form for look in looks.values()]) if with_map and profile is None else None
     extents = np.array(list(looks))
     return Signature(cause, extents, np.array(changes), np.array(shares), tangents, levels, forms)
+
+
+def _bends(cause: Cause) -> bool:
+    """Whether a signature says how differently the inputs act on the spoiled surface."""
+    return (cause.doubt < DOUBTFUL or cause.extruded) and cause.name != TAIL
+
+
+def _among(known: Signature, places: Sequence[int], good: _Look) -> Signature:
+    """A signature for some of its poses, with the cells that deviate in these."""
+    found = known.of(places)
+    if known.levels is None:
+        return replace(found, forms=known.forms)
+    levels = tuple(one.of_poses(places) for one in known.levels)
+    judged = [_judged(one) for one in levels]
+    shares = np.array([max(share - (good.share or 0.0), 0.0) for share, _, _ in judged])
+    return replace(found, share=shares, levels=levels, forms=_forms([form for _, _, form in judged]))
+
+
+def _judged(levels: SmearedLevels) -> tuple[float, CellScatter, MarkForm | None]:
+    """Share and form of the cells that deviate by the scatter of their own surface, and that scatter."""
+    sharp = levels.each[0]
+    scatter = CellScatter.of_texture(sharp.off)
+    over = sharp.deviating(scatter)
+    return float(np.mean(over)), scatter, form_of(over)
 
 
 class _Scene:
@@ -508,22 +547,15 @@ class _Scene:
         side, material = self.pitch_um / CELLS_PER_PITCH, self._lobe(state.material)
         fine = self._per_cell
         means, cells = radiance_of_cells(relief, to_light, to_camera, material, side / fine)
-        return _Look(means + indirect, *self._deviating(cells + indirect[:, None, None], fine))
+        levels = SmearedLevels.of(cells + indirect[:, None, None], fine)
+        share, scatter, form = _judged(levels)
+        return _Look(means + indirect, share, levels, scatter, form)
 
     @property
     def _per_cell(self) -> int:
         """Parts a side of a cell, each of at least two points of the surface."""
         least = 2.0 * max(self.relief.pixels_um)
         return next((n for n in PER_CELL if n * least <= self.pitch_um / CELLS_PER_PITCH), 1)
-
-    def _deviating(
-        self, cells: FloatArray, per_cell: int
-    ) -> tuple[float, SmearedLevels, CellScatter, MarkForm | None]:
-        """Share of deviating cells, their levels, the scatter of those of the surface itself, and form."""
-        levels = SmearedLevels.of(cells, per_cell)
-        scatter = CellScatter.of_texture(levels.each[0].off)
-        over = levels.each[0].deviating(scatter)
-        return float(np.mean(over)), levels, scatter, form_of(over)
 
 
 @lru_cache(maxsize=16)

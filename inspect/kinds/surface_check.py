@@ -20,7 +20,7 @@ from anisoscope.imaging.deviation_map import LEAST_DEVIATION, CellScatter
 from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
-from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
+from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics
 from anisoscope.prediction.part_scatter import CAMERA_SHARE, part_scatter
 from anisoscope.recipe.surface import MOST_DEVIATION, SurfaceRecipe
 from anisoscope.record.schema import BudgetRecord
@@ -184,7 +184,10 @@ def check_recipe(
     advance("prediction", 0, 1)
     expected = cached_expectation(recipe, light_angle_deg, optics)
     pairs, budget = _plan(recipe, expected)
-    every = cached_signatures(recipe, light_angle_deg, advance, model)
+    single = recipe.poses.stage_and_tilt_deg is not None  # chosen as a whole: `recipe suggest` chooses others
+    new = [] if single else [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
+    wide = _tilted(recipe, new) if new else None
+    every = cached_signatures(recipe, light_angle_deg, advance, model, wide)
     known = _with_texture(every)
     with_map = recipe.area is not None
     u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
@@ -200,9 +203,9 @@ def check_recipe(
 
     causes = causes_by(known)
     parts = None if recipe.scatter is None else part_scatter(recipe, light_angle_deg, optics)
-    single = recipe.poses.stage_and_tilt_deg is not None  # chosen as a whole: `recipe suggest` chooses others
-    new = [] if single else [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
-    advice = _advice(recipe, light_angle_deg, new, advance, optics, model) if new and _lacking(causes) else ()
+    advice: tuple[TiltAdvice, ...] = ()
+    if wide is not None and _lacking(causes):
+        advice = _advice(wide, recipe.poses.tilts_deg, light_angle_deg, advance, optics, model)
     unresolved = [(cause.cause, other) for cause in causes for other in cause.inseparable_causes]
     lamps = (
         second_lamps_for(recipe, light_angle_deg, unresolved, advance, model) if new and unresolved else ()
@@ -374,27 +377,27 @@ def _lacking(causes: tuple[Separability, ...]) -> bool:
     return any(cause.detection_extent is None or cause.inseparable_causes for cause in causes)
 
 
+def _tilted(recipe: SurfaceRecipe, tries: Sequence[float]) -> SurfaceRecipe:
+    """The recipe with further tilts; a tolerance has no number for their contrasts."""
+    poses = recipe.poses.model_copy(update={"tilts_deg": (*recipe.poses.tilts_deg, *tries)})
+    decision = recipe.decision.model_copy(update={"tolerance": None})
+    return recipe.model_copy(update={"poses": poses, "decision": decision})
+
+
 def _advice(
-    recipe: SurfaceRecipe,
+    wide: SurfaceRecipe,
+    tilts_deg: Sequence[float],
     light_angle_deg: float,
-    tries: Sequence[float],
     advance: Advance,
     optics: SurfaceOptics,
     model: CauseModel,
 ) -> tuple[TiltAdvice, ...]:
-    """One set of signatures over all tilts, of which parts are looked at."""
-    tilts = (*recipe.poses.tilts_deg, *tries)
-    decision = recipe.decision.model_copy(update={"tolerance": None})
-    wide = recipe.model_copy(
-        update={"poses": recipe.poses.model_copy(update={"tilts_deg": tilts}), "decision": decision}
-    )
-    known, expected = (
-        _with_texture(cached_signatures(wide, light_angle_deg, advance, model)),
-        expectation(wide, light_angle_deg, optics),
-    )
-    covariance, with_map = planned_covariance(wide, expected), recipe.area is not None
+    """Advice on further tilts of a recipe, from parts of one set of signatures over all of them."""
+    known = _with_texture(cached_signatures(wide, light_angle_deg, advance, model))
+    expected = cached_expectation(wide, light_angle_deg, optics)
+    covariance, with_map = planned_covariance(wide, expected), wide.area is not None
     inputs = planned_inputs(wide, expected)
-    u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
+    u_background = 0.0 if wide.area is None else background_of(wide.area.max_share)[1]
 
     def separability_with(chosen: Sequence[float]) -> tuple[Separability, ...]:
         kept = [k for k, pose in enumerate(known.poses) if pose.tilt_deg in chosen]
@@ -406,8 +409,9 @@ def _advice(
             inputs=None if inputs is None else inputs.of(kept),
         )
 
-    before = separability_with(recipe.poses.tilts_deg)
-    found = [_added(tilt, before, separability_with((*recipe.poses.tilts_deg, tilt))) for tilt in tries]
+    before = separability_with(tilts_deg)
+    tries = [tilt for tilt in wide.poses.tilts_deg if tilt not in tilts_deg]
+    found = [_added(tilt, before, separability_with((*tilts_deg, tilt))) for tilt in tries]
     useful = [one for one in found if one.shows or one.tells_apart]
     return tuple(sorted(useful, key=lambda one: -(len(one.shows) + len(one.tells_apart))))
 
