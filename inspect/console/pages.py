@@ -9,9 +9,10 @@ from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi.responses import HTMLResponse
 
 from anisoscope.base.errors import RecordError
-from anisoscope.base.language import NAMES, decimal, language, message, shown, translated
+from anisoscope.base.language import NAMES, decimal, language, message, translated
 from anisoscope.base.notation import true_minus
 from anisoscope.console.access import Permission
+from anisoscope.report.page import template_environment
 
 if TYPE_CHECKING:
     import jinja2
@@ -67,15 +68,7 @@ def drawn(template: str, **content: object) -> "markupsafe.Markup":
 
 @cache
 def _environment() -> "jinja2.Environment":
-    import jinja2
-
-    found = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.console"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=shown,
-    )
-    found.globals["_"] = message
+    found = template_environment("anisoscope.console", _=message)
     found.filters |= {"translated": translated, "decimal": decimal, "typeset": true_minus}
     return found
 

@@ -1,10 +1,15 @@
-"""Rendering of pages: templates that extend ``page.html``, strict about undefined names."""
+"""Rendering of pages: templates that extend ``page.html``, strict about undefined names.
+
+Jinja translates a template into Python, which takes longer than most pages take to fill: the translation is kept in the
+cache of results.
+"""
 
 import base64
 import hashlib
 import json
+import sys
 from collections.abc import Callable, Mapping
-from functools import cache, lru_cache
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,12 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.atomic_write import write_text
+from anisoscope.base.cache import Cache, Entry
 from anisoscope.base.language import decimal, language, message, shown, translated
 
 if TYPE_CHECKING:
     import jinja2
 
 Filters = Mapping[str, Callable[..., str]]
+_parts: dict[str, str] = {}
 
 
 def write_page(
@@ -100,25 +107,56 @@ def packed(numbers: npt.NDArray[np.generic]) -> str:
     return base64.b64encode(np.ascontiguousarray(little).tobytes()).decode()
 
 
-@cache
-def _environment(_template: str) -> "jinja2.Environment":
-    """Environment of one template, because each brings its filters."""
+def template_environment(package: str, **functions: Any) -> "jinja2.Environment":  # noqa: ANN401 - names of templates
+    """Templates of a package, and parts that pages brought, strict about undefined names; what they show is escaped.
+
+    Args:
+        package: has a folder ``templates``.
+        functions: that templates call; of the filters only those of Jinja may stand at a constant.
+    """
     import jinja2
 
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.report"),
+    class Translations(jinja2.BytecodeCache):
+        """Keeps translated templates."""
+
+        def load_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
+            content = _translation(bucket).read()
+            if content is not None:
+                bucket.bytecode_from_string(content)
+
+        def dump_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
+            _translation(bucket).write(bucket.bytecode_to_string())
+
+    found = jinja2.Environment(
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package), jinja2.DictLoader(_parts)]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         finalize=shown,
+        bytecode_cache=Translations(),
     )
-    environment.globals.update(_=message, said=translated, decimal=decimal, language=language)
-    return environment
+    found.globals.update(functions)
+    return found
 
 
-@lru_cache(maxsize=64)
+def _translation(bucket: "jinja2.bccache.Bucket") -> Entry:
+    """Place of a translation; constants in it are written in the language of the reader."""
+    given = [bucket.key, bucket.checksum, language(), sys.version]
+    return Cache().entry("templates", given, __name__, libraries=("anisoscope", "jinja2"))
+
+
+@cache
+def _environment(_template: str) -> "jinja2.Environment":
+    """Environment of one template, because each brings its filters."""
+    return template_environment(
+        "anisoscope.report", _=message, said=translated, decimal=decimal, language=language
+    )
+
+
 def _part(template: str, source: str) -> "jinja2.Template":
     """A part that a template includes, translated once a process; filters are looked up when it is shown."""
-    return _environment(template).from_string(source)
+    name = f"part {hashlib.sha256(source.encode()).hexdigest()}"
+    _parts[name] = source
+    return _environment(template).get_template(name)
 
 
 def css_string(text: str) -> str:

@@ -6,11 +6,12 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
+from anisoscope.base.cache import Cache
 from anisoscope.base.language import speaking
 from anisoscope.record.schema import sha256_of
 from anisoscope.report import figures, surface_sections
 from anisoscope.report.inspection_page import Pictures, report_page
-from anisoscope.report.page import css_string
+from anisoscope.report.page import css_string, template_environment
 from anisoscope.report.peers import LotMate, among, lot_of
 from anisoscope.report.provenance import calibrations_of, files_of, groups_of, when
 from anisoscope.report.rule import rule_of
@@ -251,3 +252,26 @@ def test_single_cells_are_not_outlined():
     mask = np.zeros((4, 5), dtype=bool)
     mask[0, 0] = mask[2, 2] = mask[3, 3] = True
     assert figures.outline_path(mask).count("M") == 8  # two cells that touch at a corner
+
+
+def test_a_template_is_translated_once_for_all_processes(tmp_path, monkeypatch):
+    """What is kept serves as long as the template is the same, and in each language by itself."""
+    monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path))
+
+    def shown():
+        found = template_environment("anisoscope.report")
+        found.loader.loaders[1].mapping["part"] = source
+        return found.get_template("part").render(value=1.5)
+
+    source = "{{ 2.5 }} and {{ value }}"
+    assert (shown(), shown()) == ("2.5 and 1.5", "2.5 and 1.5")
+    (kept,) = Cache().stored()
+    assert kept.kind == "templates"
+    with speaking("de"):
+        assert shown() == shown()
+    assert len(Cache().stored()) == 2
+    source = "only {{ value }}"
+    assert shown() == "only 1.5"
+    kept.path.write_bytes(b"no translation")
+    source = "{{ 2.5 }} and {{ value }}"
+    assert shown() == "2.5 and 1.5"
