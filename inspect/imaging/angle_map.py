@@ -88,6 +88,7 @@ class AngleMap:
         pitch_um: mean pitch of the pictures.
         turn_deg: how far the ridges run counter-clockwise from where the recipe says.
         unseen: (A, C) True where light is, but no facet explains it.
+        stretch_deg: (A, C) signed part of ``u_deg`` by the roughness of the part, which moves all cells at once.
     """
 
     angle_deg: FloatArray
@@ -107,6 +108,7 @@ class AngleMap:
     pitch_um: float
     turn_deg: float
     unseen: npt.NDArray[np.bool_]
+    stretch_deg: FloatArray | float = 0.0
 
     def under_lamp(self, distance_mm: float | None) -> "AngleMap":
         """The same in the light of a lamp so near that the half vector turns over the part, by place/2D."""
@@ -117,11 +119,16 @@ class AngleMap:
         return replace(self, angle_deg=self.angle_deg - across, along_deg=leant)
 
     @cached_property
+    def _own_variance(self) -> FloatArray:
+        """(A, C) of a cell against all others."""
+        return np.maximum(self.u_deg**2 - np.square(self.stretch_deg), 0.0)
+
+    @cached_property
     def spread_deg(self) -> float:
         """Standard deviation of the lean between cells, less what their uncertainty makes."""
         known = np.isfinite(self.angle_deg)
         total = float(np.var(self.angle_deg[known], ddof=1))
-        return float(np.sqrt(max(total - float(np.mean(self.u_deg[known] ** 2)), 0.0)))
+        return float(np.sqrt(max(total - float(np.mean(self._own_variance[known])), 0.0)))
 
     @cached_property
     def by_ridge(self) -> tuple["RidgeLean", ...]:
@@ -132,14 +139,17 @@ class AngleMap:
             known = np.isfinite(columns)
             if known.mean() < LEAST_KNOWN or known.sum() < 2:
                 continue
-            values, u = columns[known], self.u_deg[:, self.ridge == number][known]
+            values, own, stretch = (
+                np.broadcast_to(one, self.angle_deg.shape)[:, self.ridge == number][known]
+                for one in (self.angle_deg, self._own_variance, self.stretch_deg)
+            )
             found.append(
                 RidgeLean(
                     int(number),
                     float(np.nanmean(self.x_mm[:, self.ridge == number])),
                     float(np.nanmean(self.y_mm[:, self.ridge == number])),
                     float(values.mean()),
-                    float(np.sqrt(np.sum(u**2)) / len(values)),
+                    float(np.hypot(np.sqrt(np.sum(own)) / len(values), np.mean(stretch))),
                     float(values.std(ddof=1)),
                     float(known.mean()),
                 )
@@ -273,6 +283,7 @@ def angle_map(
         pitch_um=phases.pitch_um,
         turn_deg=phases.turn_deg,
         unseen=spread(unseen.astype(np.float64), 0.0) > 0.0,
+        stretch_deg=spread(found.stretch_deg),
     )
 
 
@@ -667,11 +678,15 @@ def _texture(scene: _Scene, part: _PartLean, seen: FloatArray, border: float) ->
 
 @dataclass(frozen=True, eq=False)
 class _Leans:
-    """(N, 2) leans of cells and their standard uncertainties, across and along, and (N,) misfits."""
+    """(N, 2) leans of cells and their standard uncertainties, across and along, and (N,) misfits.
+
+    ``stretch_deg`` (N,) is the part of the first by the roughness of the part.
+    """
 
     lean: FloatArray
     u: FloatArray
     misfit: FloatArray
+    stretch_deg: FloatArray
 
 
 def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: _Texture) -> _Leans:
@@ -722,4 +737,4 @@ def _leans(scene: _Scene, part: _PartLean, logs: FloatArray, texture: _Texture) 
     # where the poses contradict each other by more than that in most cells, all of it is larger
     usual = float(np.median(misfit)) / _median_chi2(max(len(logs) - 2, 1))
     u = np.sqrt(u**2 * max(usual, 1.0) + texture.of_lean_deg**2 + stretch**2)
-    return _Leans(lean, u, misfit / max(usual, 1.0))
+    return _Leans(lean, u, misfit / max(usual, 1.0), stretch[:, 0])

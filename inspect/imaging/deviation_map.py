@@ -246,9 +246,10 @@ def _cell_map(measured: Measured, recipe: SurfaceRecipe) -> CellMap:
     known = share >= max(float(np.quantile(share, 1.0 - CALM_SHARE)), 0.5 * float(share.max()))
     phase = of_cells(place.astype(np.float32))
     level = _Points.of(cells, phase).off(0.0).astype(np.float64)
-    own = _cell_covariance(level, known)
+    texture = _most_covariance(level[:, known])
+    own = _cell_covariance(level, texture)
     squares = squares_in(own, level)
-    score = np.log1p(squares / _glint_scales(squares, phase, points.glints(), level, own, known))
+    score = np.log1p(squares / _glint_scales(squares, phase, points.glints(), texture, own, known))
     limit, spread, over = _limits(score, known, len(cells), max(pictures[0].size / score.size, FEW))
     of_points = points.distance(off, covariance)
     score = np.maximum(score, limit * _texture_share(of_cells(np.log1p(of_points))))
@@ -313,7 +314,7 @@ def _glint_scales(
     squares: FloatArray,
     phase: FloatArray,
     glint: FloatArray,
-    level: FloatArray,
+    texture: FloatArray,
     own: FloatArray,
     calm: npt.NDArray[np.bool_],
 ) -> FloatArray:
@@ -323,7 +324,7 @@ def _glint_scales(
         squares: (cell rows, cell cols) D².
         phase: likewise, in pitches.
         glint: (P, `PHASES`) share of the light that is glint.
-        level: (P, cell rows, cell cols) deviations of ln L.
+        texture: (P, P) covariance of the calm cells.
         own: (P, P) covariance by which D² is.
         calm: cells of the calmest part of the pitch.
 
@@ -338,12 +339,12 @@ def _glint_scales(
         return float(quarter + (SCATTERS + 0.674) / (1.405 - 0.674) * (quarter - low))
 
     kind = np.floor(np.mod(phase, 1.0) * PHASES)
-    texture = float(np.trace(np.linalg.solve(own, _most_covariance(level[:, calm]))))
+    usual = float(np.trace(np.linalg.solve(own, texture)))
     found, least = np.ones(squares.shape), ALIKE * max(limit(squares[calm]), LEAST_SPREAD)
     for number in range(PHASES):
         chosen = kind == number
         if chosen.sum() >= LEAST_CELLS:
-            explained = 1.0 + float((GLINT * glint[:, number]) ** 2 @ np.diag(np.linalg.inv(own))) / texture
+            explained = 1.0 + float((GLINT * glint[:, number]) ** 2 @ np.diag(np.linalg.inv(own))) / usual
             found[chosen] = np.clip((limit(squares[chosen]) / least) ** 3, 1.0, explained)
     return found
 
@@ -355,14 +356,13 @@ def _texture_share(logs: FloatArray) -> FloatArray:
     return np.asarray(seen / (usual + PATCH_SCATTERS * max(float(usual - low), LEAST_PATCH_SPREAD)))
 
 
-def _cell_covariance(cells: FloatArray, calm: npt.NDArray[np.bool_]) -> FloatArray:
-    """(P, P) covariance of the cells of a good part, of most of them and at most as the calm ones scatter.
+def _cell_covariance(cells: FloatArray, texture: FloatArray) -> FloatArray:
+    """(P, P) covariance of the cells of a good part, of most of them and at most as the texture and walls scatter.
 
     Every pose has `GLOW` besides: light that marks throw onto cells around them deviates, but is no mark there.
     """
     poses = len(cells)
     every = _most_covariance(cells.reshape(poses, -1))
-    texture = _most_covariance(cells[:, calm])
     bounded = _at_most(every[None], texture + WALLS**2 * np.eye(poses))[0]
     return np.asarray(bounded + GLOW**2 * np.eye(poses))
 

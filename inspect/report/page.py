@@ -5,8 +5,10 @@ cache of results.
 """
 
 import base64
+import contextlib
 import hashlib
 import json
+import os
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -120,12 +122,17 @@ def template_environment(package: str, **functions: Any) -> "jinja2.Environment"
         """Keeps translated templates."""
 
         def load_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
-            content = _translation(bucket).read()
+            kept = _translation(bucket)
+            content = kept.read() if _written_by_user(kept.path) else None
             if content is not None:
                 bucket.bytecode_from_string(content)
 
         def dump_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
-            _translation(bucket).write(bucket.bytecode_to_string())
+            kept = _translation(bucket)
+            kept.write(bucket.bytecode_to_string())
+            with contextlib.suppress(OSError):
+                kept.path.chmod(0o644)
+                kept.path.parent.chmod(0o755)
 
     found = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package), jinja2.DictLoader(_parts)]),
@@ -142,6 +149,17 @@ def _translation(bucket: "jinja2.bccache.Bucket") -> Entry:
     """Place of a translation; constants in it are written in the language of the reader."""
     given = [bucket.key, bucket.checksum, language(), sys.version]
     return Cache().entry("templates", given, __name__, libraries=("anisoscope", "jinja2"))
+
+
+def _written_by_user(path: Path) -> bool:
+    """Whether nobody else can have written a file: what is run is not taken from a cache that others may write."""
+    if not hasattr(os, "getuid"):
+        return True
+    try:
+        each = [one.stat() for one in (path, path.parent)]
+    except OSError:
+        return False
+    return all(one.st_uid == os.getuid() and not one.st_mode & 0o022 for one in each)
 
 
 @cache

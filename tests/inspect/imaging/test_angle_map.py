@@ -247,6 +247,17 @@ def test_what_all_cells_share_moves_the_mean_alone(ten):
     assert moved.u_mean_deg > 1.5 * plain.u_mean_deg
 
 
+def test_an_unknown_roughness_moves_the_cells_of_a_ridge_at_once(ten):
+    """It does not even out over the cells, and is no spread of theirs."""
+    found = ten.map_by(recipe_of())
+    alone = replace(found, u_deg=np.full(found.angle_deg.shape, 0.03), stretch_deg=0.0)
+    both = replace(found, u_deg=np.full(found.angle_deg.shape, 0.05), stretch_deg=0.04)
+    assert both.spread_deg == pytest.approx(alone.spread_deg)
+    for one, other in zip(alone.by_ridge, both.by_ridge, strict=True):
+        assert other.u_deg == pytest.approx(np.hypot(one.u_deg, 0.04))
+    assert 0.0 < np.nanmax(np.abs(found.stretch_deg)) < np.nanmax(found.u_deg)
+
+
 def test_a_smaller_cell_has_a_larger_uncertainty(ten):
     assert np.nanmedian(ten.map_by(recipe_of(), 24.0).u_deg) > 1.3 * np.nanmedian(
         ten.map_by(recipe_of()).u_deg

@@ -1,12 +1,15 @@
 """What the report of an inspection says: rules, peers, provenance, words."""
 
+import os
+import pickle
 import re
 from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
+from jinja2.bccache import bc_magic
 
-from anisoscope.base.cache import Cache
+from anisoscope.base.cache import Cache, Entry
 from anisoscope.base.language import speaking
 from anisoscope.record.schema import sha256_of
 from anisoscope.report import figures, surface_sections
@@ -275,3 +278,27 @@ def test_a_template_is_translated_once_for_all_processes(tmp_path, monkeypatch):
     kept.path.write_bytes(b"no translation")
     source = "{{ 2.5 }} and {{ value }}"
     assert shown() == "2.5 and 1.5"
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="other systems have no such modes")
+@pytest.mark.parametrize(("mode", "open_to_others"), [(0o644, False), (0o664, True), (0o646, True)])
+def test_no_translation_is_run_that_others_may_have_written(tmp_path, monkeypatch, mode, open_to_others):
+    """Nobody can tell the translation of "one" in the place of that of "two" but by who may have put it there."""
+    monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path))
+
+    def shown(text):
+        found = template_environment("anisoscope.report")
+        found.loader.loaders[1].mapping["part"] = text
+        return found.get_template("part").render()
+
+    def entries():
+        return {Entry(Cache(), kept.path) for kept in Cache().stored()}
+
+    shown("one")
+    (one,) = entries()
+    shown("two")
+    (two,) = entries() - {one}
+    head = len(bc_magic) + len(pickle.dumps("0" * 40, 2))
+    two.write(two.read()[:head] + one.read()[head:])
+    two.path.chmod(mode)
+    assert shown("two") == ("two" if open_to_others else "one")
