@@ -406,7 +406,11 @@ def _advice(
         inside = sorted([*path.glob("*/job.json"), *path.glob("*/*/job.json")])
         other = inside[-1].parent if inside else None
     elif path.is_dir() and "directory" in message:
-        other = next((one for one in sorted(path.iterdir()) if one.suffix.lower() in MAPS), None)
+        if chain[:1] == ["recipe"]:
+            other = next((one for one in sorted(path.glob("*.toml")) if keys_of(one) & {"product"}), None)
+            advice = "; a recipe is a file *.toml"
+        elif not any((path / record).is_file() for record in RECORDS):
+            other = next((one for one in sorted(path.iterdir()) if one.suffix.lower() in MAPS), None)
     elif "is needed here" in message:
         keys = {"product"} if "a recipe is needed" in message else {"stage"}
         other = next((one for one in sorted(path.parent.glob("*.toml")) if keys_of(one) & keys), None)

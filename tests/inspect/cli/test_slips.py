@@ -67,6 +67,8 @@ inspect --recipe recipe.toml --rig rig.toml --serial A1 --frames frame.tif | --s
 inspect --recipe recipe.toml --rig rig.toml --serial A1 --frames shots | anisoscope inspect --frames shots --init
 inspect --recipe recipe.toml --rig rig.toml --serial A1 --frames nowhere | nowhere: there is no such folder of frames
 recipe check rig.toml | anisoscope recipe check recipe.toml
+recipe check . | anisoscope recipe check recipe.toml
+recipe check done/A-1 | done/A-1: cannot be read: Is a directory; a recipe is a file *.toml
 rig home --rig bench.toml | anisoscope rig sim bench bench.toml --pty --write-rig rig.toml
 msa gauge gauge.csv | anisoscope msa gauge --csv gauge.csv
 msa gauge done | anisoscope msa gauge --history done
