@@ -406,11 +406,8 @@ def _advice(
         inside = sorted([*path.glob("*/job.json"), *path.glob("*/*/job.json")])
         other = inside[-1].parent if inside else None
     elif path.is_dir() and "directory" in message:
-        if chain[:1] == ["recipe"]:
-            other = next((one for one in sorted(path.glob("*.toml")) if keys_of(one) & {"product"}), None)
-            advice = "; a recipe is a file *.toml"
-        elif not any((path / record).is_file() for record in RECORDS):
-            other = next((one for one in sorted(path.iterdir()) if one.suffix.lower() in MAPS), None)
+        other = _file_in(path, recipe=chain[:1] == ["recipe"])
+        advice = "; a recipe is a file *.toml" if chain[:1] == ["recipe"] else ""
     elif "is needed here" in message:
         keys = {"product"} if "a recipe is needed" in message else {"stage"}
         other = next((one for one in sorted(path.parent.glob("*.toml")) if keys_of(one) & keys), None)
@@ -423,6 +420,15 @@ def _advice(
     elif bare and (option := _option_of(path, names)) is not None:
         advice = line(option, str(path))
     return line(str(other)) if other is not None else advice
+
+
+def _file_in(folder: Path, *, recipe: bool) -> Path | None:
+    """The first recipe or height map of a folder; one of an inspection has no maps."""
+    if recipe:
+        return next((one for one in sorted(folder.glob("*.toml")) if keys_of(one) & {"product"}), None)
+    if any((folder / record).is_file() for record in RECORDS):
+        return None
+    return next((one for one in sorted(folder.iterdir()) if one.suffix.lower() in MAPS), None)
 
 
 def _near_file(path: Path, line: Callable[..., str]) -> str:
