@@ -152,7 +152,7 @@ def _translation(bucket: "jinja2.bccache.Bucket") -> Entry:
 
 
 def _written_by_user(path: Path) -> bool:
-    """Whether nobody else can have written a file: what is run is not taken from a cache that others may write."""
+    """Permission to run a file: nobody else can have written it."""
     if not hasattr(os, "getuid"):
         return True
     try:

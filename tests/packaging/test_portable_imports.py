@@ -61,6 +61,7 @@ GUARDED = {
     ): "keys of a terminal; where it is missing, those of the page remain",
     ("inspect/cli/rig/live.py", "tty"): "likewise",
     ("rig/jogging.py", "fcntl"): "asks a Linux input device for its range",
+    ("inspect/report/page.py", "os.getuid"): "behind hasattr(os, 'getuid')",
     ("rig/portholder.py", "os.getuid"): "behind hasattr(os, 'getuid')",
     ("profiles/files/decoder_worker.py", "resource"): "on Linux only; elsewhere the parent limits time",
     ("profiles/files/decoder_worker.py", "signal.setitimer"): "likewise",
