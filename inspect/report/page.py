@@ -152,7 +152,7 @@ def _translation(bucket: "jinja2.bccache.Bucket") -> Entry:
 
 
 def _written_by_user(path: Path) -> bool:
-    """Permission to run a file: nobody else can have written it."""
+    """Test that other users cannot have written a file, so that it may be run."""
     if not hasattr(os, "getuid"):
         return True
     try:
