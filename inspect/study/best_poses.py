@@ -19,7 +19,7 @@ from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.consistency import contrast_scatter
 from anisoscope.decision.predictive import separating_areas, separations
-from anisoscope.imaging.angle_map import poses_for_angles
+from anisoscope.imaging.facet_fit import poses_for_angles
 from anisoscope.parameters.detection import PoseChoice
 from anisoscope.parameters.geometry import Convention, Pose
 from anisoscope.parameters.keywords import by_keywords

@@ -10,7 +10,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError
 from anisoscope.base.progress import Advance
 from anisoscope.diagnosis.shape_fit import fit_shape
-from anisoscope.imaging.angle_map import AngleMap, angle_map, planned_worth
+from anisoscope.imaging.angle_map import AngleMap, angle_map
+from anisoscope.imaging.facet_fit import planned_worth
 from anisoscope.imaging.height_map_place import match_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.predicted_cells import predicted_cells

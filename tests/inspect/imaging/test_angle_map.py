@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import MeasurementError, UsageError
-from anisoscope.imaging.angle_map import angle_map, planned_worth, poses_for_angles
+from anisoscope.imaging.angle_map import angle_map
+from anisoscope.imaging.facet_fit import planned_worth, poses_for_angles
 from anisoscope.imaging.phase_map import phase_map
 from anisoscope.operations.facets import form_of, write_angle_map
 from anisoscope.parameters.geometry import Convention, Pose

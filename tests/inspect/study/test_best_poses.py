@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.imaging.angle_map import poses_for_angles
+from anisoscope.imaging.facet_fit import poses_for_angles
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.parameters.geometry import Convention
 from anisoscope.recipe.surface import DefectsPart
