@@ -18,6 +18,11 @@ NUMBER_WORDS = {
     "area share": "share of the area that deviates",
     "conformance probability": "probability of conformance",
     "drift": "drift of the lamp",
+    "facet angle": "facet angle [°]",
+    "facet angle spread": "facet angle spread [°]",
+    "facet angle of the worst ridge": "facet angle of the outlying ridge [°]",
+    "print tilt": "print tilt [°]",
+    "print curl": "print curl [°]",
 }
 """Numbers of the history that are no contrasts -> what they are called for people."""
 _OLD_TIE = "; or, not to be told apart: "

@@ -57,6 +57,21 @@ def test_commands_take_from_the_project_file_what_the_command_line_leaves_out(jo
     assert str(bound("inspect", "--recipe", "mine.toml")["recipe"]) == "mine.toml"
     assert bound("rig", "status")["which"].rig == job / "rig.toml"
     assert bound("show", "A")["place"] == str(job / "inspections")
+    for command in ("check", "suggest", "teach", "yield"):
+        assert bound("recipe", command)["file"] == job / "recipe.toml"
+    assert str(bound("recipe", "check", "mine.toml")["file"]) == "mine.toml"
+
+
+def test_a_folder_of_other_inspections_is_not_looked_up_in_the_history_of_the_job(job, tmp_path):
+    other, own = tmp_path / "other", job / "inspections" / "A-1"
+    for folder in (other, own):
+        folder.mkdir(parents=True)
+    assert bound("show", str(own))["place"] == str(job / "inspections")
+    assert bound("compare", str(other), "A")["place"] == str(job / "inspections")
+    assert bound("compare", str(other), str(own))["place"] == str(job / "inspections")
+    assert "place" not in bound("show", str(other))
+    assert "place" not in bound("compare", str(other), str(other))
+    assert bound("show", str(other), "--history", "mine")["place"] == "mine"
 
 
 def test_an_option_of_the_same_name_with_another_meaning_gets_nothing(job):
