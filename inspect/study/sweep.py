@@ -316,8 +316,8 @@ def _no_workers(address: str) -> str:
 def _ready(waiting: list[Any]) -> set[Any]:
     """The futures that are done, as soon as one is; none after `NO_WORKERS_TIMEOUT_S`.
 
-    An interruption comes between two looks: a wait of Dask's that is interrupted before its loop has begun it prints a
-    NameError of its own (`distributed.utils.sync`).
+    An interruption comes between two looks, as between two results: what waits for Dask's loop and is interrupted
+    before that has begun it prints a NameError of Dask's own (`distributed.utils.sync`).
     """
     distributed: Any = import_module("distributed")
     end = time.monotonic() + NO_WORKERS_TIMEOUT_S
@@ -346,12 +346,15 @@ def _collect(client: _Client, parts: list[_Part], address: str) -> _Finished:
                     raise SweepError(f"the Dask scheduler at {address} was lost: its tasks are gone")
                 if future.status == "error":
                     raise SweepError(_explain(future.exception()))
-                yield waiting.pop(future), future.result()
+                with undisturbed():
+                    result = future.result()
+                yield waiting.pop(future), result
     except (OSError, RuntimeError) as error:
         raise SweepError(f"the Dask scheduler at {address} was lost: {error}") from error
     finally:
         if client.status == "running":
-            client.cancel(list(waiting), force=True)
+            with undisturbed():
+                client.cancel(list(waiting), force=True)
 
 
 def _explain(error: BaseException | None) -> str:

@@ -1,5 +1,7 @@
 """Somebody else's client (``pygrbl-streamer``, MIT) streams G-code to the simulated board on a pseudo terminal."""
 
+import time
+
 import pytest
 
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
@@ -53,7 +55,10 @@ def test_it_hears_a_refusal_and_an_alarm(session):
     assert grbl.home(wait_idle=True)
     assert not grbl.command("G2 X1")
     assert not grbl.stream(["G53 G0 X5000"], completion_timeout=10.0)
-    assert any(line.startswith("error:") for line in grbl.heard)
+    deadline = time.monotonic() + 60.0  # a thread of its own calls back
+    while "ALARM:2" not in grbl.heard and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert grbl.heard[0].startswith("error:")
     assert "ALARM:2" in grbl.heard
 
 
