@@ -14,6 +14,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_da
 from datetime import datetime
 from types import NoneType, UnionType
 from typing import (
+    TYPE_CHECKING,
     Annotated,
     Any,
     ClassVar,
@@ -21,7 +22,6 @@ from typing import (
     Literal,
     TypeVar,
     Union,
-    cast,
     get_args,
     get_origin,
     get_type_hints,
@@ -42,8 +42,11 @@ def plain(name: str) -> str:
     return "--" + _UNIT.sub("", name).replace("_", "-")
 
 
-class Given(Generic[M]):
-    """Fields of a parameter model that the command line states."""
+class Stated:
+    """Fields of a parameter model that the command line states.
+
+    No class above it is of another module: cyclopts parses the source of all of them for every page of help.
+    """
 
     _model: ClassVar[type]
     option: ClassVar[Mapping[str, str]]
@@ -58,18 +61,18 @@ class Given(Generic[M]):
     def __contains__(self, name: str) -> bool:
         return getattr(self, name) is not None
 
-    def over(self, base: M) -> M:
+    def over(self, base: Any) -> Any:  # noqa: ANN401 - typed by `Given`
         """The model with the stated fields in place of those of ``base``.
 
         Raises:
             AnisoscopeError: as the model's own, naming the option where one alone is out of its range.
         """
         try:
-            return cast("M", replace(cast("Any", base), **self.values))
+            return replace(base, **self.values)
         except AnisoscopeError as problem:
             raise self._named(problem, base) from None
 
-    def made(self) -> M:
+    def made(self) -> Any:  # noqa: ANN401
         """The model of the options, where these are `whole`; errors are the model's own.
 
         Raises:
@@ -80,7 +83,7 @@ class Given(Generic[M]):
             text = values.pop(name)
             if text is not None:  # else that of the model
                 values[name] = _read(reader, text, self.option[name])
-        return cast("M", self._model(**values))
+        return self._model(**values)
 
     def refuse(self, names: Sequence[str], why: str) -> None:
         """Refuse stated fields.
@@ -92,13 +95,22 @@ class Given(Generic[M]):
             if name in self:
                 raise UsageError(f"{self.option[name]} {why}")
 
-    def _named(self, problem: AnisoscopeError, base: M) -> AnisoscopeError:
+    def _named(self, problem: AnisoscopeError, base: Any) -> AnisoscopeError:  # noqa: ANN401
         for name, value in self.values.items():
             try:
-                replace(cast("Any", base), **{name: value})
+                replace(base, **{name: value})
             except AnisoscopeError as own:
                 return UsageError(f"{self.option[name]}: {own}")
         return problem
+
+
+class Given(Stated, Generic[M]):
+    """Annotation of a parameter of a command: the command gets what is `Stated` of the model."""
+
+    if TYPE_CHECKING:
+
+        def over(self, base: M) -> M: ...  # noqa: D102 - as of `Stated`
+        def made(self) -> M: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -217,7 +229,12 @@ def options_class(options: Options) -> type:
         "__module__": __name__,
     }
     return make_dataclass(
-        f"{options.model.__name__}Options", stated, bases=(Given,), frozen=True, kw_only=True, namespace=space
+        f"{options.model.__name__}Options",
+        stated,
+        bases=(Stated,),
+        frozen=True,
+        kw_only=True,
+        namespace=space,
     )
 
 
