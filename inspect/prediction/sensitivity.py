@@ -8,6 +8,7 @@ material. All states with the same material and shape are evaluated in one call 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -163,9 +164,8 @@ def _turned_directions(
         Pose(pose.stage_deg + float(a), pose.tilt_deg + float(b))
         for pose, a, b in zip(poses, turn, tilt, strict=True)
     )
-    to_light, to_camera = directions(moved, replace(convention, light_angle_deg=state.light_angle_deg))
-    seat = seating_rotation(*state.seating_deg)
-    to_light, to_camera = to_light @ seat, to_camera @ seat
+    seen = replace(convention, light_angle_deg=state.light_angle_deg)
+    to_light, to_camera = _seated(moved, seen, state.seating_deg)
     low = np.minimum(to_light[:, 2], to_camera[:, 2]) < 1e-3
     if low.any():
         pose = poses[int(np.argmax(low))]
@@ -174,6 +174,16 @@ def _turned_directions(
             "angles from the horizon of the sample: leave the pose out, or predict it without uncertainty"
         )
     return to_light, to_camera
+
+
+@lru_cache(maxsize=128)
+def _seated(
+    poses: tuple[Pose, ...], convention: Convention, seating_deg: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Directions (P, 3) to light and camera as a seated sample sees them, from a cache: read-only."""
+    to_light, to_camera = directions(poses, convention)
+    seat = seating_rotation(*seating_deg)
+    return to_light @ seat, to_camera @ seat
 
 
 def evaluate(

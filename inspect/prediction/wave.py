@@ -140,10 +140,8 @@ def design_surface(design: RidgeDesign, light: LightSpectrum) -> WaveSurface:
     return WaveSurface.of(design.profile(x), design.pitch_um / a_pitch)
 
 
-def window_of(
-    to_light: FloatArray, to_camera: FloatArray, optics: Optics, slope_variance: FloatArray | None
-) -> Window:
-    """Lamp and lens as discs about (3,) directions, with the roughness below the pixels, if there is any.
+def discs_of(optics: Optics) -> tuple[float, float]:
+    """Diameters of lamp and lens in direction cosines.
 
     Raises:
         ModelError: a lamp at a finite distance, whose angle varies over the field.
@@ -154,9 +152,17 @@ def window_of(
         )
     source = 2.0 * np.sin(np.radians(optics.lamp_half_angle_deg))
     aperture = 2.0 * np.sin(np.radians(optics.aperture_half_angle_deg))
+    return float(source), float(aperture)
+
+
+def window_of(
+    to_light: FloatArray, to_camera: FloatArray, optics: Optics, slope_variance: FloatArray | None
+) -> Window:
+    """Lamp and lens as discs about (3,) directions, with the roughness below the pixels; errors as of `discs_of`."""
+    source, aperture = discs_of(optics)
     return Window(
-        Extent("disc", float(source), across_beam(to_light)),
-        Extent("disc", float(aperture), across_beam(to_camera)),
+        Extent("disc", source, across_beam(to_light)),
+        Extent("disc", aperture, across_beam(to_camera)),
         slope_variance,
     )
 

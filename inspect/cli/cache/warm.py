@@ -145,9 +145,7 @@ def _wave() -> None:
     from anisoscope.profiles.etching import Etched
     from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.sim.light.geometry import pose_grid
-    from anisoscope.sim.light.wave.halfvectors import HalfVector
     from anisoscope.sim.light.wave.orders import Orders
-    from anisoscope.sim.light.wave.windows import Extent, Window
 
     checkerboard = np.where(np.indices((160, 160)).sum(axis=0) // 20 % 2, 0.125, 0.0)
     surface, isotropic = HeightMap(checkerboard, 0.1, 0.1, {}), Material(0.1, 0.1)
@@ -159,8 +157,10 @@ def _wave() -> None:
         OpticsRequest("wave"),
         None,
     )
-    upright, disc = HalfVector(0.0, 0.0, 1.0, 1.0, 1.0), Extent("disc", 0.05)
-    Orders.of(Etched.of(surface)).density(np.array([0.0, 0.125]), upright, 0.5, Window(disc, disc))
+    upright = np.array([[0.0, 0.0, 1.0]])
+    Orders.of(Etched.of(surface)).seen(
+        np.array([0.0, 0.125]), upright, upright, np.array([0.5]), (0.05, 0.05)
+    )
 
 
 def _dots() -> None:

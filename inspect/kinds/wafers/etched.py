@@ -16,12 +16,10 @@ from anisoscope.parameters.light import LightSpectrum
 from anisoscope.parameters.material import Material
 from anisoscope.parameters.optics import Optics
 from anisoscope.prediction.recipe_models import line_spectrum
-from anisoscope.prediction.wave import window_of
+from anisoscope.prediction.wave import discs_of
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.light.wave.halfvectors import half_vector
 from anisoscope.sim.light.wave.orders import REACH, Bands, Orders, WidthOrders
-from anisoscope.sim.light.wave.reflectance import radiance_scale
 
 WHOLE = 1e-3
 """How far the side of a tile may be off the pitch of the recipe, relative."""
@@ -129,19 +127,16 @@ class EtchedPredictor:
         Raises:
             ModelError: light or camera at or below the horizon, or a direction that the tile is not sampled for.
         """
-        levels, lines = np.array(self.tile.levels_um), self.light.spectrum
+        levels, lines, discs = np.array(self.tile.levels_um), self.light.spectrum, discs_of(self.light.optics)
         wavelengths = np.array(lines.wavelengths_um)
         weights = np.array(lines.weights) / wavelengths**2
-        found = []
-        for light, camera in zip(to_light, to_camera, strict=True):
-            half = half_vector(light, camera)
-            window = window_of(light, camera, self.light.optics, None)
-            mirrored = radiance_scale(half, 1.0) * float(
-                weights @ self.orders.densities(levels, half, wavelengths, window)
-            )
-            diffuse = material.albedo / np.pi * light[2]
-            found.append(self.reflectance * ((1.0 - material.albedo) * mirrored + diffuse))
-        return np.array(found)
+        densities = self.orders.seen(levels, to_light, to_camera, wavelengths, discs)
+        half = 0.5 * (to_light + to_camera)
+        scale = (np.sum(half**2, axis=1) / half[:, 2]) ** 2 / to_camera[
+            :, 2
+        ]  # `radiance_scale` at a wavelength of 1
+        mirrored, diffuse = scale * (densities @ weights), material.albedo / np.pi * to_light[:, 2]
+        return np.asarray(self.reflectance * ((1.0 - material.albedo) * mirrored + diffuse))
 
 
 def tile_of(surface: HeightMap, pitch_um: float, name: str) -> Etched:

@@ -26,7 +26,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.etching import Etched
 from anisoscope.sim.light import threads
-from anisoscope.sim.light.wave.halfvectors import HalfVector
+from anisoscope.sim.light.wave.halfvectors import HalfVector, across_beam, half_vector
 from anisoscope.sim.light.wave.windows import Extent, Window
 
 ComplexArray = npt.NDArray[np.complexfloating]
@@ -38,6 +38,7 @@ REACH = 1.25
 CHORDS = 64
 ROUND = 1.02
 """Ratio of the axes up to which the smaller of two ellipses, seen as the larger is a circle, counts as a circle."""
+_ALONE = np.ones(1, dtype=np.complex128)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +139,6 @@ class Orders:
         self, phases: ComplexArray, half: HalfVector, wavelengths_um: FloatArray, window: Window
     ) -> FloatArray:
         """The same of (L, K) waves of the levels."""
-        overlap = _Overlap.of(window, 1.0)
-        if overlap.round:
-            return self._inside(
-                overlap, half.frequency(1.0), window.half_width(1.0, half.z), phases, wavelengths_um
-            )
         found = []
         for waves_of, wavelength in zip(phases, wavelengths_um.tolist(), strict=True):
             middle = half.frequency(wavelength)
@@ -152,33 +148,55 @@ class Orders:
             found.append(float(np.sum(power * window_density(window, *off, wavelength))))
         return np.array(found)
 
-    def _inside(
+    def seen(
         self,
-        overlap: "_Overlap",
-        middle: tuple[float, float],
-        half_width: tuple[float, float],
-        phases: ComplexArray,
+        levels_um: FloatArray,
+        to_light: FloatArray,
+        to_camera: FloatArray,
         wavelengths_um: FloatArray,
+        discs: tuple[float, float],
+        powers: ComplexArray = _ALONE,
     ) -> FloatArray:
-        """As `blurred`, of two discs that look alike, for thousands of directions; frequencies per wavelength."""
-        from anisoscope.sim.light.wave.order_kernels import powers_inside  # noqa: PLC0415 - numba when first needed
+        """(P, L) `densities` in µm² of many directions at once, where lamp and lens are discs about them.
 
-        shortest = float(wavelengths_um.min())
-        self._window(*((x / shortest, y / shortest) for x, y in (middle, half_width)))
-        powers = np.empty(wavelengths_um.size)
-        powers_inside(
+        Args:
+            levels_um: (K,) heights.
+            to_light: (P, 3) unit vectors.
+            to_camera: (P, 3) unit vectors.
+            wavelengths_um: (L,).
+            discs: diameters of lamp and lens, in direction cosines.
+            powers: (T,) factors, where the spectra are those of T terms one after the other.
+
+        Raises:
+            ModelError: light or camera at or below the horizon, frequencies that were not kept, or two points.
+        """
+        from anisoscope.sim.light.wave.order_kernels import densities_seen  # noqa: PLC0415 - numba when first needed
+
+        light, camera = (np.ascontiguousarray(one, dtype=np.float64) for one in (to_light, to_camera))
+        found = np.empty((len(light), wavelengths_um.size))
+        densities_seen(
             self._by_order,
-            phases.astype(np.complex128),
-            (self.frequency_x[0], 1.0 / self.size_um[1]),
-            (self.frequency_y[0], 1.0 / self.size_um[0]),
+            powers.astype(np.complex128),
+            levels_um,
+            (float(self.frequency_x[0]), 1.0 / self.size_um[1]),
+            (float(self.frequency_y[0]), 1.0 / self.size_um[0]),
             wavelengths_um,
-            middle,
-            half_width,
-            overlap.into,
-            overlap.radius,
-            powers,
+            light,
+            camera,
+            discs,
+            ROUND,
+            np.empty(len(self.spectra), dtype=np.complex128),
+            found,
         )
-        return powers / overlap.area * wavelengths_um**2
+        for p in np.flatnonzero(np.isnan(found[:, 0])):
+            half = half_vector(light[p], camera[p])
+            window = Window(
+                Extent("disc", discs[0], across_beam(light[p])),
+                Extent("disc", discs[1], across_beam(camera[p])),
+            )
+            phases = level_phases(levels_um, wavelengths_um, half.z)
+            found[p] = self.blurred(np.kron(powers, phases), half, wavelengths_um, window)
+        return found
 
     @cached_property
     def _by_order(self) -> npt.NDArray[np.complex64]:
@@ -339,11 +357,27 @@ class WidthOrders:
         self, levels_um: FloatArray, half: HalfVector, wavelengths_um: FloatArray, window: Window
     ) -> FloatArray:
         """As `Orders.densities`, of the width that is set."""
-        phases = level_phases(levels_um, wavelengths_um, half.z)
-        powers = np.array([1.0, self.share + self.edges, self.share**2])
-        terms = self.narrower if self.share < 0.0 else self.wider
-        waves = (powers[:, None] * phases[:, None, :]).reshape(len(phases), -1)
-        return terms.blurred(waves, half, wavelengths_um, window)
+        waves = np.kron(self._powers, level_phases(levels_um, wavelengths_um, half.z))
+        return self._terms.blurred(waves, half, wavelengths_um, window)
+
+    def seen(
+        self,
+        levels_um: FloatArray,
+        to_light: FloatArray,
+        to_camera: FloatArray,
+        wavelengths_um: FloatArray,
+        discs: tuple[float, float],
+    ) -> FloatArray:
+        """As `Orders.seen`, of the width that is set."""
+        return self._terms.seen(levels_um, to_light, to_camera, wavelengths_um, discs, self._powers)
+
+    @property
+    def _powers(self) -> ComplexArray:
+        return np.array([1.0, self.share + self.edges, self.share**2], dtype=np.complex128)
+
+    @property
+    def _terms(self) -> Orders:
+        return self.narrower if self.share < 0.0 else self.wider
 
 
 def _parabola(middle: Orders, near: Orders, far: Orders, side: float) -> Orders:
