@@ -7,7 +7,7 @@ weight that depends on the reading itself prefers low readings, and bends the re
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,8 @@ Mask = npt.NDArray[np.bool_]
 NEAR_CLIP_SIGMA = 4.0
 NEAR_DARK_SIGMA = 3.0
 _ROUNDS = 3
+_STRIP = 16384
+"""Pixels that are merged at a time."""
 _QUANTISATION = 1.0 / 12.0
 
 
@@ -90,14 +92,25 @@ class Exposure:
     darks: int
     other_variance: FloatArray | float = 0.0
 
-    def variance(self, rate: FloatArray, noise: SensorNoise) -> FloatArray:
-        """Variance of signal/t, if the rate is as given."""
-        of_dark = noise.variance(self.dark_signal) / self.darks + self.other_variance
-        return (self.sigma_of_one(rate, noise) ** 2 / self.frames + of_dark) / self.time_s**2
+    def rows(self, at: slice) -> "Exposure":
+        """Some rows of it."""
+        other = self.other_variance
+        return replace(
+            self,
+            signal=self.signal[at],
+            dark_signal=self.dark_signal[at],
+            clipped=self.clipped[at],
+            limit=self.limit[at],
+            other_variance=other[at] if isinstance(other, np.ndarray) else other,
+        )
 
-    def sigma_of_one(self, rate: FloatArray, noise: SensorNoise) -> FloatArray:
-        """Standard deviation of one reading in counts, if the rate is as given."""
-        return np.sqrt(noise.variance(np.maximum(rate, 0.0) * self.time_s + self.dark_signal))
+    def variance_of_one(self, rate: FloatArray, noise: SensorNoise) -> FloatArray:
+        """Variance of one reading in counts², if the rate is as given."""
+        return noise.variance(np.maximum(rate, 0.0) * self.time_s + self.dark_signal)
+
+    def variance_of_dark(self, noise: SensorNoise) -> FloatArray:
+        """Variance of `signal` in counts² that its dark frames and what else was taken away add."""
+        return noise.variance(self.dark_signal) / self.darks + self.other_variance
 
     def floor(self, noise: SensorNoise) -> FloatArray:
         """Signal in counts above the noise in the dark."""
@@ -140,23 +153,39 @@ def merge_exposures(exposures: Iterable[Exposure], noise: SensorNoise, gain: flo
         gain: gain of all frames, a factor.
     """
     ordered = sorted(exposures, key=lambda exposure: exposure.time_s)
+    rows, cols = ordered[0].signal.shape
+    rate, variance = np.empty((2, rows, cols), dtype=np.float32)
+    usable, lost = np.empty((2, rows, cols), dtype=bool)
+    # pixel by pixel, in strips that stay in the cache
+    step = max(1, _STRIP // cols)
+    for first in range(0, rows, step):
+        at = slice(first, first + step)
+        rate[at], variance[at], usable[at], lost[at] = _merged([one.rows(at) for one in ordered], noise)
+    return MergedBracket(
+        rate,
+        variance,
+        usable,
+        lost,
+        exposures_s=tuple(exposure.time_s for exposure in ordered),
+        saturated_share=tuple(float(exposure.clipped.mean()) for exposure in ordered),
+        gain=gain,
+    )
+
+
+def _merged(ordered: Sequence[Exposure], noise: SensorNoise) -> tuple[FloatArray, FloatArray, Mask, Mask]:
+    """Rate, its variance, where an exposure can be used, and where all are lost in the dark."""
     clipped = np.stack([exposure.clipped for exposure in ordered])
     use = ~clipped
     rate = _first_estimate(ordered, use)
     variance = np.full_like(rate, np.nan)
+    floors = [exposure.floor(noise) for exposure in ordered]
+    of_dark = [exposure.variance_of_dark(noise) for exposure in ordered]
     for _ in range(_ROUNDS):
-        use = _selection(ordered, clipped, rate, noise)
-        rate, variance = _weighted(ordered, use, rate, noise)
-    usable: Mask = np.asarray(use.any(axis=0))
-    return MergedBracket(
-        rate=rate.astype(np.float32),
-        variance=variance.astype(np.float32),
-        usable=usable,
-        lost_in_dark=_lost(ordered, use, rate, noise),
-        exposures_s=tuple(exposure.time_s for exposure in ordered),
-        saturated_share=tuple(float(mask.mean()) for mask in clipped),
-        gain=gain,
-    )
+        known = np.nan_to_num(rate)
+        of_one = [exposure.variance_of_one(known, noise) for exposure in ordered]
+        use = _selection(ordered, clipped, known, of_one, floors)
+        rate, variance = _weighted(ordered, use, of_one, of_dark)
+    return rate, variance, np.asarray(use.any(axis=0)), _lost(ordered, use, rate, floors)
 
 
 def _sorted(frames: Iterable[Frame]) -> dict[float, list[Frame]]:
@@ -216,21 +245,24 @@ def _first_estimate(exposures: Sequence[Exposure], use: Mask) -> FloatArray:
 
 
 def _selection(
-    exposures: Sequence[Exposure], clipped: npt.NDArray[np.bool_], rate: FloatArray, noise: SensorNoise
+    exposures: Sequence[Exposure],
+    clipped: npt.NDArray[np.bool_],
+    known: FloatArray,
+    of_one: Sequence[FloatArray],
+    floors: Sequence[FloatArray],
 ) -> Mask:
-    """(exposures, rows, cols) mask of the readings that count."""
-    known = np.nan_to_num(rate)
+    """(exposures, rows, cols) mask of the readings that count, with the variance of one and the floor of each."""
     use = ~clipped
-    for number, exposure in enumerate(exposures):
+    for number, (exposure, variance) in enumerate(zip(exposures, of_one, strict=True)):
         # A reading below the limit whose fellows lie above it is there because of its noise only.
-        margin = NEAR_CLIP_SIGMA * exposure.sigma_of_one(known, noise)
+        margin = NEAR_CLIP_SIGMA * np.sqrt(variance)
         use[number] &= known * exposure.time_s + margin < exposure.limit
     # The shortest exposure has nothing to be replaced by: it counts unless it is clipped.
     nothing_left = ~use.any(axis=0)
     use[0] |= nothing_left & ~clipped[0]
-    longer = np.zeros(rate.shape, dtype=bool)
+    longer = np.zeros(known.shape, dtype=bool)
     for number in reversed(range(len(exposures))):
-        near_dark = known * exposures[number].time_s < exposures[number].floor(noise)
+        near_dark = known * exposures[number].time_s < floors[number]
         keep = use[number] & ~(near_dark & longer)
         longer |= use[number]
         use[number] = keep
@@ -238,24 +270,24 @@ def _selection(
 
 
 def _weighted(
-    exposures: Sequence[Exposure], use: Mask, rate: FloatArray, noise: SensorNoise
+    exposures: Sequence[Exposure], use: Mask, of_one: Sequence[FloatArray], of_dark: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    known = np.nan_to_num(rate)
-    total = np.zeros(rate.shape)
-    weights = np.zeros(rate.shape)
-    for exposure, good in zip(exposures, use, strict=True):
-        weight = np.where(good, 1.0 / exposure.variance(known, noise), 0.0)
+    """Weighted mean of signal/t and its variance, with the variances of one reading and of the darks of each."""
+    total = np.zeros(use.shape[1:])
+    weights = np.zeros_like(total)
+    for exposure, good, lit, dark in zip(exposures, use, of_one, of_dark, strict=True):
+        weight = np.where(good, exposure.time_s**2 / (lit / exposure.frames + dark), 0.0)
         total += weight * exposure.signal / exposure.time_s
         weights += weight
-    nothing = np.full(rate.shape, np.nan)
+    nothing = np.full(total.shape, np.nan)
     some = weights > 0.0
     merged = np.divide(total, weights, out=nothing.copy(), where=some)
     return merged, np.divide(1.0, weights, out=nothing, where=some)
 
 
-def _lost(exposures: Sequence[Exposure], use: Mask, rate: FloatArray, noise: SensorNoise) -> Mask:
+def _lost(exposures: Sequence[Exposure], use: Mask, rate: FloatArray, floors: Sequence[FloatArray]) -> Mask:
     """Mask of pixels with valid exposures, none of which exceeds the noise."""
-    stands_out = np.zeros(rate.shape, dtype=bool)
-    for exposure, good in zip(exposures, use, strict=True):
-        stands_out |= good & (np.nan_to_num(rate) * exposure.time_s >= exposure.floor(noise))
+    known, stands_out = np.nan_to_num(rate), np.zeros(rate.shape, dtype=bool)
+    for exposure, good, floor in zip(exposures, use, floors, strict=True):
+        stands_out |= good & (known * exposure.time_s >= floor)
     return np.asarray(use.any(axis=0) & ~stands_out)
