@@ -6,6 +6,7 @@ in place of the last bracket (Heitz 2014, Eqs. 71 and 85).
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -165,31 +166,56 @@ class Scene:
 
     def _parts(self, state: State) -> tuple[FloatArray, FloatArray]:
         """(P, W) BRDF of the ink in 1/sr, and (P,) cosines of the light's inclination."""
-        convention = Convention(self.light_angle_deg + state.light_angle_deg)
-        poses = tuple(
-            Pose(pose.stage_deg + state.stage_deg, pose.tilt_deg + state.arm_deg) for pose in self.poses
-        )
-        to_light, to_camera = directions(poses, convention)
-        if state.seat_x_deg or state.seat_y_deg:
-            seat = seating_rotation(state.seat_x_deg, state.seat_y_deg)
-            to_light, to_camera = to_light @ seat, to_camera @ seat
-        cos_i, cos_o = to_light[:, 2], to_camera[:, 2]
-        half = half_vector(to_light, to_camera)
-        argument = shift(cos_i, cos_o)
-        share = state.other
-        found = np.zeros((len(poses), len(self.ink.wavelengths_nm)))
-        inks = (
-            [(1.0 - share, self.ink)]
-            if self.other is None
-            else [(1.0 - share, self.ink), (share, self.other)]
-        )
-        for part, ink in inks:
-            if part != 0.0:
-                lobe = _lobe(ink, half, state, self.lobe + state.lobe)
-                found += part * lobe[:, None] * _colour(ink, argument, state, self.ink.nm)
-                base = _base(ink, to_light, to_camera)
-                found += part * np.stack([np.interp(self.ink.nm, ink.nm, one) for one in base])
-        return found, cos_i
+        turned = state.light_angle_deg, state.stage_deg, state.arm_deg, state.seat_x_deg, state.seat_y_deg
+        seen = _seen(self, *turned)
+        flakes = state.alpha, state.ratio, state.skew, state.tilt_x_deg, state.tilt_y_deg
+        found = np.zeros((len(self.poses), len(self.ink.wavelengths_nm)))
+        for part, ink in ((1.0 - state.other, self.ink), (state.other, self.other)):
+            if ink is not None and part != 0.0:
+                lobe = _lobe(seen, ink, self.lobe + state.lobe, *flakes)
+                found += part * lobe[:, None] * _colour(seen, ink, state.c, state.shift_nm)
+                found += part * _base_of(seen, ink)
+        return found, seen.to_light[:, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """The poses of a scene, as a print that is turned sees them.
+
+    Attributes:
+        to_light, to_camera: (P, 3) unit vectors.
+        half: (P, 3) half vectors.
+        argument: (P,) x, which the colour of an ink depends on.
+        nm: (W,) wavelengths.
+    """
+
+    to_light: FloatArray
+    to_camera: FloatArray
+    half: FloatArray
+    argument: FloatArray
+    nm: FloatArray
+
+
+# Derivatives move one input at a time, and most inputs leave directions, colours or the lobe as they are: all are kept.
+@lru_cache(maxsize=64)
+def _seen(
+    scene: Scene, light_angle_deg: float, stage_deg: float, arm_deg: float, x_deg: float, y_deg: float
+) -> _Seen:
+    convention = Convention(scene.light_angle_deg + light_angle_deg)
+    poses = tuple(Pose(pose.stage_deg + stage_deg, pose.tilt_deg + arm_deg) for pose in scene.poses)
+    to_light, to_camera = directions(poses, convention)
+    if x_deg or y_deg:
+        seat = seating_rotation(x_deg, y_deg)
+        to_light, to_camera = to_light @ seat, to_camera @ seat
+    argument = shift(to_light[:, 2], to_camera[:, 2])
+    return _Seen(to_light, to_camera, half_vector(to_light, to_camera), argument, scene.ink.nm)
+
+
+@lru_cache(maxsize=64)
+def _base_of(seen: _Seen, ink: Ink) -> FloatArray:
+    """(P, W) `_base` at the wavelengths of a scene."""
+    base = _base(ink, seen.to_light, seen.to_camera)
+    return np.stack([np.interp(seen.nm, ink.nm, one) for one in base])
 
 
 def _base(ink: Ink, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
@@ -198,16 +224,21 @@ def _base(ink: Ink, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
     return np.asarray(sum((brdf(one, to_light, to_camera) for one in ink.base), dark))
 
 
-def _colour(ink: Ink, argument: FloatArray, state: State, nm: FloatArray) -> FloatArray:
-    """(P, W) ρ·exp(c·x) at wavelengths ``nm``, a quarter of D times this is the BRDF."""
-    at = nm - state.shift_nm
+@lru_cache(maxsize=64)
+def _colour(seen: _Seen, ink: Ink, more_c: float, shift_nm: float) -> FloatArray:
+    """(P, W) ρ·exp(c·x), a quarter of D times this is the BRDF; c larger, and the spectra at longer wavelengths."""
+    at = seen.nm - shift_nm
     rho, c = (np.interp(at, ink.nm, values) for values in (ink.rho_brdf, ink.c_values))
-    return np.asarray(rho * np.exp((c + state.c) * argument[:, None]))
+    return np.asarray(rho * np.exp((c + more_c) * seen.argument[:, None]))
 
 
-def _lobe(ink: Ink, half: FloatArray, state: State, lobe: float) -> FloatArray:
+@lru_cache(maxsize=64)
+def _lobe(
+    seen: _Seen, ink: Ink, lobe: float, alpha: float, ratio: float, skew: float, x_deg: float, y_deg: float
+) -> FloatArray:
     """(P,) D/4 at half vectors, of the ink's lobe turned, widened and leaned."""
-    return _density(ink, half @ seating_rotation(-state.tilt_y_deg, state.tilt_x_deg), state, lobe)
+    leaning = seen.half @ seating_rotation(-y_deg, x_deg)
+    return _density(ink, leaning, State(alpha=alpha, ratio=ratio, skew=skew), lobe)
 
 
 def _density(ink: Ink, half: FloatArray, state: State, lobe: float) -> FloatArray:
@@ -234,12 +265,17 @@ def squared_slopes(half: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def roughness_matrix(ink: Ink, state: State) -> FloatArray:
-    """(2, 2) A, whose quadratic form along a direction is α² in that direction."""
-    turn = np.radians(ink.brush_deg)
+    """(2, 2) A, whose quadratic form along a direction is α² in that direction; not to be written to."""
+    return _roughness((ink.alpha, ink.across, ink.brush_deg), state.alpha, state.ratio, state.skew)
+
+
+@lru_cache(maxsize=64)
+def _roughness(ink: tuple[float, float, float], alpha: float, ratio: float, skew: float) -> FloatArray:
+    along, across, turn = *ink[:2], np.radians(ink[2])
     axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    nominal = axes @ np.diag([ink.alpha**2, ink.across**2]) @ axes.T
-    half = 0.5 * state.ratio
-    stretch = np.array([[state.alpha - half, -0.5 * state.skew], [-0.5 * state.skew, state.alpha + half]])
+    nominal = axes @ np.diag([along**2, across**2]) @ axes.T
+    half = 0.5 * ratio
+    stretch = np.array([[alpha - half, -0.5 * skew], [-0.5 * skew, alpha + half]])
     values, vectors = np.linalg.eigh(stretch)
     factor = vectors @ np.diag(np.exp(values)) @ vectors.T
     return np.asarray(factor @ nominal @ factor)
