@@ -30,8 +30,11 @@ DEGREES = 10.0
 """Degrees of freedom of the distributions."""
 RIGHT_ANGLES = (0.0, 90.0, 180.0)
 Labels = npt.NDArray[np.integer[Any]]
-SIDES = tuple((angle, tilt) for tilt in (0, -1, 1) for angle in RIGHT_ANGLES)
-"""Stage angle and sign of the tilt of the poses whose deviations are averaged."""
+SIDES = (*((angle, 0) for angle in RIGHT_ANGLES), (90.0, -1), (90.0, 1))
+"""Stage angle and sign of the tilt of the poses whose deviations are averaged.
+
+Across the ridges tilted poses are dark: light between the facets rules there, which the prediction's light lacks.
+"""
 MOST_LOG = 1.5
 ALIKE, ROUNDS = 2.0, 12
 """Marks of every kind that a part is taken to have besides its own, and rounds of the estimate."""
@@ -48,7 +51,7 @@ class MarkSigns:
     """Cells of a map as their kinds of marks are recognised by.
 
     Attributes:
-        off: (9, cell rows, cell cols) mean deviation of ln L over the poses of every side of `SIDES`; NaN without one.
+        off: (5, cell rows, cell cols) mean deviation of ln L over the poses of every side of `SIDES`; NaN without one.
         beyond: (cell rows, cell cols) share of the points of a cell that deviate.
         calm: (cell rows, cell cols) share of the points that deviate and are on the calm part of the pitch.
         tilted: whether there are poses of both signs of tilt.

@@ -86,12 +86,14 @@ class _Draw:
         self.rng, self.pitch, self.size = rng, pitch, (14.0 * pitch, 11.0 * pitch)
         cols, rows = (int(one / POINT_UM) // 2 * 2 + 1 for one in self.size)
         x = np.arange(cols) * POINT_UM - rng.random() * pitch
-        self.ridge = np.floor(x / pitch).astype(int)
-        mean, self.line = angle + lean * rng.standard_normal(), np.zeros(cols)
+        design = RidgeDesign(pitch, angle + lean * rng.standard_normal())
+        # a crest is one chord of the mesh: ridges are stretched from foot to foot, so that its slope stays
+        self.ridge = np.floor((x + design.wall_width_um) / pitch).astype(int)
+        self.groove = np.floor(x / pitch).astype(int)
+        self.line = design.profile(x)
         for number in np.unique(self.ridge):
-            chosen = self.ridge == number
-            own = RidgeDesign(pitch, mean + lean * rng.standard_normal())
-            self.line[chosen] = own.profile(x[chosen])
+            own = np.radians(design.ridge_angle_deg + lean * rng.standard_normal())
+            self.line[self.ridge == number] *= np.tan(own) / np.tan(np.radians(design.ridge_angle_deg))
         plain = HeightMap(np.tile(self.line, (rows, 1)), POINT_UM, POINT_UM, {"pitch_um": pitch})
         rms = rng.uniform(0.02, 0.04)
         self.surface = add_facet_roughness(plain, rms, rms, rng.uniform(6.0, 10.0), rng)
@@ -104,8 +106,9 @@ class _Draw:
         self.kinds.append(NAMES.index(name))
         self.number[where] = len(self.kinds)
 
-    def own_ridge(self, x: float) -> np.ndarray:
-        return np.asarray(self.ridge == self.ridge[int(np.clip(x / POINT_UM, 0, len(self.ridge) - 1))])
+    @staticmethod
+    def at(numbers: np.ndarray, x: float) -> np.ndarray:
+        return np.asarray(numbers == numbers[int(np.clip(x / POINT_UM, 0, len(numbers) - 1))])
 
     def turned(self, x: float, y: float) -> tuple[np.ndarray, np.ndarray]:
         angle = self.rng.uniform(0.0, np.pi)
@@ -142,7 +145,7 @@ class _Draw:
         self.put(cut | bank, "scratch")
 
     def burr(self, x: float, y: float) -> None:
-        rng, own = self.rng, self.own_ridge(x)
+        rng, own = self.rng, self.at(self.ridge, x)
         crest = self.x[0][own][np.argmax(self.line[own])] + rng.uniform(-6.0, 6.0)
         long, wide, high = rng.uniform(8.0, 50.0), rng.uniform(4.0, 14.0), rng.uniform(2.0, 8.0)
         square = ((self.y - y) / long) ** 2 + ((self.x - crest) / wide) ** 2
@@ -151,7 +154,7 @@ class _Draw:
         self.put(where, "burr")
 
     def fill(self, x: float, y: float) -> None:
-        rng, own = self.rng, self.own_ridge(x)
+        rng, own = self.rng, self.at(self.groove, x)
         long, low = rng.uniform(20.0, 150.0), self.line.min()
         level = low + rng.uniform(0.25, 0.9) * (self.line.max() - low)
         rim = long * (1.0 + 0.1 * np.sin(self.x / 7.0))
@@ -433,11 +436,19 @@ def _by_look(
     return found
 
 
+def _moments(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means and covariance of what is known: crowded sheets have no continuation, upright poses no tilted ones."""
+    known = np.isfinite(rows)
+    count = known.sum(axis=0)
+    mean = np.divide(np.nansum(rows, axis=0), count, out=np.full(rows.shape[1], np.nan), where=count > 0)
+    away = np.where(known, rows - mean, 0.0) * np.sqrt(len(rows) / np.maximum(count, 1))
+    return mean, away.T @ away / (len(rows) - 1)
+
+
 def _table(groups: list[Group], temper: float) -> dict:
     """Means and covariances of every kind, shrunk towards the mean of all kinds."""
     rows = [np.array([one.numbers for one in groups if one.kind == k]) for k in range(len(NAMES))]
-    means = [one.mean(axis=0) for one in rows]
-    own = [np.cov(np.nan_to_num(one), rowvar=False) for one in rows]
+    means, own = zip(*map(_moments, rows), strict=True)
     pool = np.mean(own, axis=0)
     size = len(pool)
     triangles = []

@@ -33,7 +33,9 @@ def test_the_file_has_the_kinds_that_the_evidence_draws():
     for classes in known_classes().values():
         assert classes.names == NAMES
         assert 0.2 <= classes.temper <= 1.0
+        assert np.isfinite(classes.means[:, CONTINUED]).all()
         assert all(np.linalg.eigvalsh(one).min() > 0.0 for one in classes.covariances)
+    assert np.isfinite(known_classes()[True].means).all()
 
 
 def test_a_typical_mark_is_of_its_kind_and_weights_add_up():
@@ -60,12 +62,12 @@ def test_a_side_is_the_mean_over_its_poses_and_270_degrees_is_a_side_like_90():
     cells = np.arange(5.0)[:, None, None] * np.ones((5, 2, 2))
     found = MarkSigns.of(
         cells, np.zeros((2, 2)), np.zeros((2, 2)),
-        poses((0.0, 0.0), (90.0, 0.0), (270.0, 0.0), (180.0, 5.0), (175.0, 10.0)),
+        poses((0.0, 0.0), (90.0, 0.0), (270.0, 0.0), (90.0, 5.0), (85.0, 10.0)),
     )  # fmt: skip
     means = {side: found.off[k, 0, 0] for k, side in enumerate(SIDES)}
     assert means[0.0, 0] == 0.0
     assert means[90.0, 0] == 1.5
-    assert means[180.0, 1] == 3.5
+    assert means[90.0, 1] == 3.5
     assert np.isnan(means[180.0, 0])
     assert not found.tilted
 
