@@ -180,11 +180,19 @@ def test_how_often_parts_fail(name):
         assert np.mean(of_poses <= 0.015) >= 0.99
 
 
-def stained(picture, depth):
-    """With less light about a place, as by a stain on the flat."""
-    rows, cols = np.indices(picture.shape)
-    square = (cols - 0.4 * picture.shape[1]) ** 2 + (rows - 0.5 * picture.shape[0]) ** 2
+def stained(picture, depth, turn_deg=0.0):
+    """With less light about a place a tenth of the width from the middle, turned about it."""
+    y, x = (
+        one - 0.5 * (size - 1) for one, size in zip(np.indices(picture.shape), picture.shape, strict=True)
+    )
+    away, turn = -0.1 * picture.shape[1], np.radians(turn_deg)
+    square = (x - away * np.cos(turn)) ** 2 + (y - away * np.sin(turn)) ** 2
     return (picture * (1.0 - depth * np.exp(-0.5 * square / 60.0**2))).astype(np.float32)
+
+
+def on_a_stained_flat(pictures, depth):
+    """More light where the flat had less: at one place of the camera, over which the part turns."""
+    return [stained(one, -depth, NINE[k].stage_deg) for k, one in enumerate(pictures)]
 
 
 def vignetted(picture, depth):
@@ -202,20 +210,26 @@ NUISANCES = {
     "a pose out of focus": lambda p: [p[0], cv2.GaussianBlur(p[1], (0, 0), 2.0), *p[2:]],
     "5 % vignetting in a pose": lambda p: [vignetted(p[0], 0.05), *p[1:]],
     "a stain of 3 % in a pose": lambda p: [stained(p[0], 0.03), *p[1:]],
-    "a stain of 10 % in all poses": lambda p: [stained(one, 0.1) for one in p],
+    "a stain of 5 % on the flat": lambda p: on_a_stained_flat(p, 0.05),
 }
+DARK = {
+    "a stain of 10 % on the flat": lambda p: on_a_stained_flat(p, 0.1),
+    "a film on the part that takes 10 %": lambda p: [stained(one, 0.1) for one in p],
+}
+"""Leans of the facets to three upright poses, by which some parts fail."""
 
 
 @pytest.mark.statistics
 def test_nuisances_fail_no_good_part():
-    """Of 25 parts none that passed before but one out of focus; to three poses a stain in all is a lean: some may."""
+    """None of 25 parts that passed before; of those with a dark place in all poses some do."""
 
     def each(number):
         part, recipe = traced("good", number)
-        return [judged(part, recipe, change) for change in (None, *NUISANCES.values())]
+        return [judged(part, recipe, change) for change in (None, *NUISANCES.values(), *DARK.values())]
 
     found = np.array(for_each(each, range(600, 625), 2)).any(axis=3)
-    by_three, by_nine = (found[:, 1:] & ~found[:, :1]).sum(axis=0).T
-    assert by_nine.tolist() == [0] * len(NUISANCES)
-    assert by_three[:-1].sum() <= 1
-    assert by_three[-1] <= 5
+    failed = (found[:, 1:] & ~found[:, :1]).sum(axis=0)
+    assert not failed[: len(NUISANCES)].any()
+    by_three, by_nine = failed[len(NUISANCES) :].T
+    assert np.all(by_three <= 12)
+    assert np.all(by_nine <= 5)
