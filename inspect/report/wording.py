@@ -13,6 +13,8 @@ from anisoscope.report.provenance import when
 MOST_WEIGHT = 0.99
 _UNIT = re.compile(r"(?<=±) (?=\d)|(?<=\d) (?=(?:%|[µn]?m)(?!\w))")
 """Spaces between a number and its sign or unit, where no line breaks."""
+_SHARE = re.compile(r"\bshare\b|relative change")
+"""In the title of a cause whose severity is said in per cent."""
 U_LEGEND = "U = 2u: expanded uncertainty"
 
 
@@ -64,9 +66,16 @@ def _sized(cause: CauseRecord | ComponentRecord) -> str:
 
 
 def severity_text(cause: CauseRecord | ComponentRecord) -> str:
-    """The severity with its unit, such as ``−2.1°`` or ``5 µm``."""
-    unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
-    return decimal(f"{cause.severity:.3g}{unit}").replace("-", "−")
+    """The severity with its unit, such as ``−2.1°``, ``5 µm``, or ``6.1 %`` of a share."""
+    scale, unit = _scale(cause)
+    return decimal(f"{scale * cause.severity:.3g}{unit}").replace("-", "−")
+
+
+def _scale(cause: CauseRecord | ComponentRecord) -> tuple[float, str]:
+    """Factor and unit of a severity for people: records hold shares and relative changes without a unit."""
+    if not cause.unit and _SHARE.search(cause.title):
+        return 100.0, " %"
+    return 1.0, cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
 
 
 def weight_text(weight: float) -> str:
@@ -78,10 +87,10 @@ def weight_text(weight: float) -> str:
 
 def cause_range(cause: CauseRecord | ComponentRecord) -> str:
     """95 % interval of a severity, such as ``95 %: −2.5° to −1.7°``."""
-    unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
+    scale, unit = _scale(cause)
     if cause.interval is None:  # records of earlier versions
-        return message("not determined") if cause.u is None else decimal(f"± {cause.u:.2g}{unit}")
-    low, high = (None if end is None else f"{end:.3g}{unit}" for end in cause.interval)
+        return message("not determined") if cause.u is None else decimal(f"± {scale * cause.u:.2g}{unit}")
+    low, high = (None if end is None else f"{scale * end:.3g}{unit}" for end in cause.interval)
     if low is None and high is None:
         return message("not determined")
     if high is None:

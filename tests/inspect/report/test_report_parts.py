@@ -172,6 +172,20 @@ def test_words(make_report_record):
     assert [cause_range(one) for one in open_ends] == ["95 %: −2.44° or more", "95 %: −1.65° or less"]
     earlier = [one.model_copy(update={"interval": None}) for one in (ridge, seating)]
     assert [cause_range(one) for one in earlier] == ["± 0.2°", "not determined"]
+    share = {"unit": "", "severity": 0.0612, "interval": (0.0342, None), "title": "burrs, share of the area"}
+    assert (
+        cause_text(ridge.model_copy(update=share)) == "burrs, share of the area 6.12 % (95 %: 3.42 % or more)"
+    )
+    change = {
+        "unit": "",
+        "severity": -0.2,
+        "u": 0.05,
+        "interval": None,
+        "title": "roughness, relative change",
+    }
+    assert cause_text(ridge.model_copy(update=change)) == "roughness, relative change −20 % (± 5 %)"
+    plain = change | {"title": "rough facets, added roughness across the ridges", "severity": 0.03}
+    assert cause_text(ridge.model_copy(update=plain)).endswith("across the ridges 0.03 (± 0.05)")
     told = filters()
     assert (told["short"](4e-5), told["short"](0.00123)) == ("< 0.0001", "0.0012")
     assert (told["signed"](-0.0004, 2), told["signed"](0.004, 2), told["signed"](0.005)) == (
