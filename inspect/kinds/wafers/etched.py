@@ -132,9 +132,8 @@ class EtchedPredictor:
         weights = np.array(lines.weights) / wavelengths**2
         densities = self.orders.seen(levels, to_light, to_camera, wavelengths, discs)
         half = 0.5 * (to_light + to_camera)
-        scale = (np.sum(half**2, axis=1) / half[:, 2]) ** 2 / to_camera[
-            :, 2
-        ]  # `radiance_scale` at a wavelength of 1
+        # `radiance_scale` at a wavelength of 1
+        scale = (np.sum(half**2, axis=1) / half[:, 2]) ** 2 / to_camera[:, 2]
         mirrored, diffuse = scale * (densities @ weights), material.albedo / np.pi * to_light[:, 2]
         return np.asarray(self.reflectance * ((1.0 - material.albedo) * mirrored + diffuse))
 
